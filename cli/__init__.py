@@ -1,0 +1,14 @@
+"""The `lightstage` command: one file a command family; the only place that joins everything.
+
+    main.py      the parser, the errors and the exit codes
+    show.py      what a person sees: tables, progress, warnings
+    sessions.py  import, sessions, calibration
+    run.py       run, normals
+    look.py      status, why, graph, path
+    keep.py      verify, gc
+    export.py    export
+    sheet.py     the contact sheet
+    demo.py      demo: the virtual rig as a capture
+
+Modules are imported when their command is used: a fully cached run must not pay for the others.
+"""

@@ -1,0 +1,152 @@
+"""status, why, graph, path: what there is, and why."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from cli.run import add_run_options, add_session_options, parse_frames, pipeline_path, plan_for
+from cli.show import Screen
+from store.files import human_size
+from store.root import Store
+
+
+def configure(commands: Any) -> None:
+    """Add the commands of this file."""
+    status = commands.add_parser("status", help="fresh, stale, partial or missing, node by node")
+    status.add_argument("--session", metavar="S", help="default: every session")
+    add_run_options(status)
+    status.set_defaults(handler=handle_status)
+
+    why = commands.add_parser("why", help="which input of a node's key changed")
+    why.add_argument("node", metavar="NODE")
+    add_session_options(why)
+    add_run_options(why)
+    why.set_defaults(handler=handle_why)
+
+    graph = commands.add_parser("graph", help="draw the pipeline")
+    graph.add_argument("--pipeline", type=Path, metavar="FILE")
+    graph.set_defaults(handler=handle_graph)
+
+    path = commands.add_parser("path", help="print where a node's result is, and nothing else")
+    path.add_argument("node", metavar="NODE")
+    add_session_options(path)
+    path.set_defaults(handler=handle_path)
+
+
+def handle_status(options: argparse.Namespace, screen: Screen) -> int:
+    """lightstage status."""
+    from dag.explain import status
+    from dag.plan import look_up
+    from store.errors import RequestError
+    from store.sessions import session_names
+
+    store = Store(options.store, create=False)
+    answer: dict[str, Any] = {}
+    rows = []
+    one = options.session is not None
+    for name in [options.session] if one else session_names(store):
+        options.session = name
+        try:
+            state = look_up(plan_for(options, store), store, frames=parse_frames(options.frames))
+        except RequestError as error:
+            if one:
+                raise
+            answer[name] = {"error": str(error)}
+            rows.append((name, "", "cannot run", "", ""))
+            screen.warn(str(error))
+            continue
+        found = status(state, store)
+        answer[name] = {
+            s.name: {"status": s.condition, "known": s.known, "blocks": s.blocks, "bytes": s.size, "folder": s.folder}
+            for s in found
+        }
+        rows += [(name, s.name, s.condition, f"{s.known}/{s.blocks}", human_size(s.size)) for s in found]
+    screen.table(("session", "node", "status", "blocks", "size"), rows, right=(3, 4))
+    screen.document({"sessions": answer})
+    return 0
+
+
+def handle_why(options: argparse.Namespace, screen: Screen) -> int:
+    """lightstage why."""
+    from dag.explain import why
+    from dag.plan import look_up
+    from store.document import nearest
+    from store.errors import RequestError
+
+    store = Store(options.store, create=False)
+    state = look_up(plan_for(options, store), store, frames=parse_frames(options.frames))
+    known = [name for name, node in state.nodes.items() if not node.plan.node.stage.is_source]
+    if options.node not in known:
+        raise RequestError(f"there is no result of a node '{options.node}'{nearest(options.node, known)}")
+    sentence, reasons = why(state, options.node, store)
+    screen.say(sentence)
+    if reasons:
+        screen.table(("node", "what", "old", "new"), [(r.node, r.what, r.old, r.new) for r in reasons])
+    screen.document(
+        {
+            "session": options.session,
+            "node": options.node,
+            "summary": sentence,
+            "reasons": [{"node": r.node, "what": r.what, "old": r.old, "new": r.new} for r in reasons],
+        }
+    )
+    return 0
+
+
+def handle_graph(options: argparse.Namespace, screen: Screen) -> int:
+    """lightstage graph."""
+    from dag.graph import load_graph
+    from stages import TABLE
+
+    graph = load_graph(pipeline_path(options.pipeline), TABLE)
+    below: dict[str, list[str]] = {name: [] for name in graph.nodes}
+    for name, node in graph.nodes.items():
+        for upper in node.above:
+            below[upper].append(name)
+
+    def draw(name: str, prefix: str, last: bool, root: bool) -> None:
+        node = graph.nodes[name]
+        branch = "" if root else ("└─ " if last else "├─ ")
+        different = {k: v for k, v in node.params if v != type(node.params).model_fields[k].default}
+        shown = "".join(f", {k}: {v}" for k, v in different.items())
+        also = [upper for upper in node.above[1:]]
+        more = f" (and from {', '.join(also)})" if also else ""
+        screen.say(f"{prefix}{branch}{name}: {node.stage.summary}{shown}{more}")
+        children = [child for child in below[name] if graph.nodes[child].above[0] == name]
+        for i, child in enumerate(children):
+            draw(child, prefix + ("" if root else "   " if last else "│  "), i == len(children) - 1, False)
+
+    for name, node in graph.nodes.items():
+        if not node.above:
+            draw(name, "", True, True)
+    screen.document(
+        {
+            "pipeline": graph.source,
+            "nodes": {
+                name: {
+                    "stage": node.stage.name,
+                    "from": list(node.above),
+                    "parameters": node.params.model_dump(mode="json"),
+                    "outputs": {array: list(output.dims) for array, output in node.stage.outputs.items()},
+                }
+                for name, node in graph.nodes.items()
+            },
+        }
+    )
+    return 0
+
+
+def handle_path(options: argparse.Namespace, screen: Screen) -> int:
+    """lightstage path."""
+    from store.results import current_path
+    from store.sessions import read_session
+
+    store = Store(options.store, create=False)
+    read_session(options.session, store)
+    if options.node == "capture":
+        path = store.sessions / options.session / "raw.zarr"
+    else:
+        path = current_path(options.session, options.node, store)
+    screen.say(str(path))
+    screen.document({"path": str(path)})
+    return 0

@@ -1,0 +1,102 @@
+"""The `lightstage` command: the parser, the errors and the exit codes.
+
+Exit codes: 0 done, 1 the work failed, 2 the request was wrong. An error is one sentence on stderr; a traceback
+only with --debug.
+"""
+
+import os
+import sys
+
+# Dask has the threads; those of OpenBLAS and OpenMP would multiply with them. Before anything imports numpy.
+for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+
+import argparse  # noqa: E402
+from collections.abc import Sequence  # noqa: E402
+from importlib import import_module  # noqa: E402
+from pathlib import Path  # noqa: E402
+from typing import NoReturn  # noqa: E402
+
+from cli.show import Screen  # noqa: E402
+from store.errors import LightstageError, RequestError  # noqa: E402
+
+VERSION = "0.1.0"
+FAMILIES = ("run", "sessions", "look", "keep", "export", "demo")
+
+
+class _Parser(argparse.ArgumentParser):
+    """argparse, with one sentence and the nearest name instead of the whole usage."""
+
+    def error(self, message: str) -> NoReturn:
+        raise RequestError(f"{self.prog}: {message} (`{self.prog} --help` lists what there is)")
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The parser of all commands; each family adds its own."""
+    parser = _Parser(
+        prog="lightstage", description="Surface normals and reflectance from a multispectral light stage."
+    )
+    parser.add_argument("--version", action="version", version=f"lightstage {VERSION}")
+    parser.add_argument(
+        "--store",
+        type=Path,
+        default=Path(os.environ.get("LIGHTSTAGE_STORE", "data")),
+        metavar="DIR",
+        help="the folder that holds everything (default: $LIGHTSTAGE_STORE, or data)",
+    )
+    _common(parser, default=False)
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", parser_class=_Parser)
+    for family in FAMILIES:
+        import_module(f"cli.{family}").configure(commands)
+    for command in commands.choices.values():
+        _common(command, default=argparse.SUPPRESS)
+        for action in command._actions:
+            if isinstance(action, argparse._SubParsersAction):
+                for inner in action.choices.values():
+                    _common(inner, default=argparse.SUPPRESS)
+    return parser
+
+
+def _common(parser: argparse.ArgumentParser, *, default: object) -> None:
+    parser.add_argument("--json", action="store_true", default=default, help="one JSON document on stdout")
+    parser.add_argument("--debug", action="store_true", default=default, help="show the traceback of an error")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command; returns the exit code."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    screen = Screen(as_json="--json" in words)
+    try:
+        options = build_parser().parse_args(words)
+        if options.command is None:
+            build_parser().print_help()
+            return 2
+        return int(options.handler(options, screen))
+    except LightstageError as error:
+        return _failed(error, error.exit_code, screen, words)
+    except KeyboardInterrupt:
+        print("stopped; what was finished is kept, and the next run goes on from there", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except Exception as error:  # noqa: BLE001  the last resort: one sentence for anything unforeseen
+        if "--debug" in words:
+            raise
+        name = type(error).__name__
+        message = f"unexpected {name}: {error}; run again with --debug and report what it shows"
+        return _failed(RequestError(message), 1, screen, words)
+
+
+def _failed(error: LightstageError, code: int, screen: Screen, words: Sequence[str]) -> int:
+    if "--debug" in words:
+        import traceback
+
+        traceback.print_exc()
+    print(f"lightstage: {error}", file=sys.stderr)
+    screen.document({"error": str(error), "exit_code": code})
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,252 @@
+"""run, normals: compute what a session needs."""
+
+import argparse
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cli.show import RunWatcher, Screen
+from store.errors import RequestError
+from store.files import human_size
+from store.root import Store
+
+if TYPE_CHECKING:
+    from dag.plan import Plan, State
+    from store.calibration import Item
+
+
+def configure(commands: Any) -> None:
+    """Add the commands of this file."""
+    run = commands.add_parser("run", help="compute nodes of the pipeline for a session")
+    run.add_argument("nodes", nargs="*", metavar="NODE", help="which nodes (default: all)")
+    add_session_options(run)
+    add_run_options(run)
+    run.add_argument("--dry-run", action="store_true", help="say what would be computed, and compute nothing")
+    run.set_defaults(handler=handle_run)
+
+    normals = commands.add_parser(
+        "normals", help="the main job: import if need be, run everything, and draw the contact sheet"
+    )
+    normals.add_argument("session", nargs="?", metavar="SESSION|FOLDER", help="default: the virtual rig's demo")
+    add_run_options(normals)
+    normals.set_defaults(handler=handle_normals)
+
+
+def add_session_options(parser: argparse.ArgumentParser) -> None:
+    """What every command that looks at a pipeline laid over a session takes."""
+    parser.add_argument("--session", required=True, metavar="S", help="the session")
+
+
+def add_run_options(parser: argparse.ArgumentParser) -> None:
+    """What decides a run."""
+    parser.add_argument("--set", action="append", default=[], metavar="NODE.PARAM=VALUE", dest="overrides")
+    parser.add_argument("--frames", metavar="A:B", help="only these frames (half-open)")
+    parser.add_argument("--pipeline", type=Path, metavar="FILE", help="default: ./pipeline.yaml, or the packaged one")
+    parser.add_argument(
+        "--calibration", action="append", default=[], metavar="KIND=FILE", help="use this item for this run"
+    )
+    parser.add_argument("--workers", type=int, metavar="N", help="local processes instead of threads")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="a running Dask cluster that shares the store")
+
+
+def pipeline_path(given: Path | None) -> Path:
+    """The pipeline file: the one given, the current folder's, or the packaged one."""
+    if given is not None:
+        return given
+    here = Path("pipeline.yaml")
+    if here.is_file():
+        return here
+    root = Path(__file__).resolve().parent.parent
+    packaged = [path for path in (root / "stages" / "pipeline.yaml", root / "pipeline.yaml") if path.is_file()]
+    if not packaged:
+        raise RequestError("there is no pipeline.yaml here and none was installed; name one with --pipeline")
+    return packaged[0]
+
+
+def parse_frames(text: str | None) -> tuple[int, int] | None:
+    """`A:B`, half-open."""
+    if text is None:
+        return None
+    first, colon, last = text.partition(":")
+    if not (colon and first.isdigit() and last.isdigit() and int(first) < int(last)):
+        raise RequestError(f"--frames {text}: expected A:B with A < B, half-open, such as 0:10")
+    return int(first), int(last)
+
+
+def override_items(given: Sequence[str], store: Store) -> "dict[str, Item]":
+    """The items of --calibration KIND=FILE."""
+    from store import document
+    from store.calibration import KINDS, put_item, read_item
+
+    items = {}
+    for text in given:
+        kind, equals, path = text.partition("=")
+        if not (equals and path):
+            raise RequestError(f"--calibration {text}: expected KIND=FILE, such as homography=homography.yaml")
+        if kind not in KINDS:
+            raise RequestError(f"--calibration {text}: '{kind}' is no kind of item{document.nearest(kind, KINDS)}")
+        item, original = read_item(Path(path), store, kind=kind)
+        put_item(item, original, store)
+        items[kind] = item
+    return items
+
+
+def plan_for(options: argparse.Namespace, store: Store, nodes: Sequence[str] = ()) -> "Plan":
+    """The pipeline that the options name, laid over their session."""
+    from dag.graph import load_graph
+    from dag.plan import bound_items, check_frames, make_plan
+    from stages import TABLE
+    from store.sessions import read_session
+
+    graph = load_graph(pipeline_path(options.pipeline), TABLE, overrides=getattr(options, "overrides", ()))
+    session = read_session(options.session, store)
+    check_frames(parse_frames(getattr(options, "frames", None)), session)
+    items = bound_items(session, store, override_items(getattr(options, "calibration", ()), store))
+    return make_plan(graph, session, store, items, nodes)
+
+
+def handle_run(options: argparse.Namespace, screen: Screen) -> int:
+    """lightstage run."""
+    store = Store(options.store)
+    if options.dry_run:
+        return _dry_run(options, store, screen)
+    summary = run_session(options, store, screen, options.nodes)
+    screen.document(summary)
+    return 0
+
+
+def run_session(options: argparse.Namespace, store: Store, screen: Screen, nodes: Sequence[str]) -> dict[str, Any]:
+    """Run nodes for a session and say what was done; answers from one record when nothing has changed."""
+    from dag.recall import recall, remember, request_key
+
+    if options.workers is not None and options.workers < 1:
+        raise RequestError(f"--workers {options.workers}: at least one process is needed")
+    if options.workers and options.scheduler:
+        raise RequestError("--workers and --scheduler: choose one")
+    frames = parse_frames(options.frames)
+    key = None
+    if not options.calibration:
+        key = request_key(
+            store,
+            session=options.session,
+            pipeline=pipeline_path(options.pipeline),
+            overrides=options.overrides,
+            nodes=nodes,
+            frames=frames,
+        )
+    answer = recall(store, key) if key is not None else None
+    if answer is not None:
+        return _tell(answer, store, screen, {}, 0.0)
+
+    from dag.run import Where, publish_results, run
+    from store.sessions import show_raw
+
+    store.scratch.sweep()
+    plan = plan_for(options, store, nodes)
+    where = Where(workers=options.workers, scheduler=options.scheduler)
+    with RunWatcher(screen) as watcher:
+        import time
+
+        state = run(plan, store, watcher, frames=frames, where=where)
+        results = publish_results(state, store, versions())
+        elapsed = time.perf_counter() - watcher.began
+    show_raw(plan.session, store)
+    store.scratch.leave()
+    _say_skipped(state, screen)
+    answer = remember(store, key, options.session, results)
+    done = {name: (result.computed, result.seconds) for name, result in results.items()}
+    return _tell(answer, store, screen, done, elapsed)
+
+
+def versions() -> dict[str, str]:
+    """What the provenance names."""
+    import platform
+    from importlib.metadata import version
+
+    names = ("numpy", "numba", "opencv-contrib-python-headless", "dask", "zarr", "numcodecs")
+    return {"python": platform.python_version(), **{name: version(name) for name in names}}
+
+
+def _say_skipped(state: "State", screen: Screen) -> None:
+    for name, node in state.nodes.items():
+        if node.plan.blocks and not any(node.selected) and state.frames is not None:
+            first, last = state.frames
+            screen.warn(f"{name} was not computed: each of its blocks needs frames outside {first}:{last}")
+
+
+def _tell(
+    answer: Mapping[str, Any],
+    store: Store,
+    screen: Screen,
+    done: Mapping[str, tuple[int, float]],
+    elapsed: float,
+) -> dict[str, Any]:
+    nodes, rows = {}, []
+    last = None
+    for name, node in answer["nodes"].items():
+        computed, seconds = done.get(name, (0, 0.0))
+        path = None
+        if node["folder"] is not None:
+            path = os.path.join(store.results, answer["session"], name, node["folder"])
+            last = (name, path, node)
+        reused = node["blocks"] - computed
+        nodes[name] = {
+            "computed": computed,
+            "reused": reused,
+            "seconds": round(seconds, 3),
+            "bytes": node["bytes"],
+            "path": path,
+        }
+        rows.append((name, computed, reused, f"{seconds:.2f}", human_size(node["bytes"])))
+    screen.table(("node", "computed", "reused", "seconds", "size"), rows, right=(1, 2, 3, 4))
+    for node in answer["nodes"].values():
+        for key, value in node["attrs"].items():
+            screen.say(f"{node['name']}: {key.replace('_', ' ')}: {value}")
+    if last is not None:
+        screen.say(f"{elapsed:.2f} s; {last[0]} is in {last[1]}")
+    return {"session": answer["session"], "seconds": round(elapsed, 3), "nodes": nodes}
+
+
+def _dry_run(options: argparse.Namespace, store: Store, screen: Screen) -> int:
+    from dag.plan import look_up
+
+    state = look_up(plan_for(options, store, options.nodes), store, frames=parse_frames(options.frames))
+    nodes, rows = {}, []
+    for name, node in state.nodes.items():
+        if node.plan.node.stage.is_source:
+            continue
+        missing = node.missing()
+        sure = sum(node.keys[i] is not None for i in missing)
+        chosen = sum(node.selected)
+        nodes[name] = {"compute": sure, "check": len(missing) - sure, "reuse": chosen - len(missing)}
+        rows.append((name, sure, len(missing) - sure, chosen - len(missing)))
+    screen.table(("node", "compute", "check", "reuse"), rows, right=(1, 2, 3))
+    if any(row[2] for row in rows):
+        screen.say("check: computed only if what is above comes out different")
+    screen.document({"session": options.session, "nodes": nodes})
+    return 0
+
+
+def handle_normals(options: argparse.Namespace, screen: Screen) -> int:
+    """lightstage normals."""
+    from cli.demo import demo_session
+    from cli.sessions import import_folder
+    from cli.sheet import contact_sheet
+    from store.sessions import session_names
+
+    store = Store(options.store)
+    given = options.session
+    if not given:
+        options.session = demo_session(store, screen)
+    elif given not in session_names(store):
+        folder = Path(given).expanduser()
+        if not folder.is_dir():
+            known = ", ".join(session_names(store)) or "none yet"
+            raise RequestError(f"'{given}' is neither a session of {store.root} ({known}) nor a capture folder")
+        options.session = import_folder(folder, store, screen).session.name
+    summary = run_session(options, store, screen, ())
+    sheet = contact_sheet(options.session, store)
+    screen.say(f"picture: {sheet}")
+    screen.document({**summary, "picture": str(sheet)})
+    return 0

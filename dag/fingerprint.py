@@ -1,0 +1,184 @@
+"""The keys: what a block is called in the cache, so that it is computed once and never taken for another.
+
+A key is the digest (xxh3, 128 bits) of canonical JSON. From the outside in:
+
+    block key  = { stage key, context, reads }
+    stage key  = { engine, stage, version, code, parameters, libraries }
+    recipe     = { stage key, contexts of the node's blocks, recipes above }    names a result folder
+    node key   = the block keys of a node, in order
+    run key    = { request, pipeline file, session, items, source files, libraries }
+
+**engine** is ENGINE below, raised by hand when the engine hands something else to kernels than before.
+
+**code** is the syntax tree of the stage's module and of every module of ours that it imports, directly or
+through others, without docstrings, comments, formatting and type annotations; not `dag`, whose contract
+cannot change numbers. Helpers count, so an edited helper cannot serve stale results.
+
+**parameters** are the validated ones with their defaults, so writing a default out changes nothing.
+
+**libraries** are the versions of the numeric libraries (NUMERIC) that those modules import.
+
+**context** is the part of the session's facts and of the calibration items that this block reads: the dark of
+its cameras, the transmission of its band. Pictures enter by the digest of their values.
+
+**reads** are the digests of the *values* of the chunks that the block reads, per input and in order, so equal
+output of a stage above stops the cascade, and compression does not matter.
+
+Not in any key, because they cannot change results: paths, names of sessions and nodes, worker counts, chunk
+compression, dates, hosts, notes of calibration items, log and display options.
+"""
+
+import ast
+import functools
+import importlib.metadata
+import importlib.util
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from dag.stage import CalibrationPicture, Params, Stage
+from store.digest import digest_bytes, digest_value
+
+ENGINE = 1
+
+NUMERIC: Mapping[str, str] = {
+    "cv2": "opencv-contrib-python-headless",
+    "numba": "numba",
+    "numpy": "numpy",
+    "scipy": "scipy",
+    "skimage": "scikit-image",
+}
+"""Import name -> distribution, of the libraries that decide numbers."""
+
+_ANNOTATIONS = {"annotation", "returns", "type_comment", "type_params"}
+
+
+def code_digest(source: str) -> str:
+    """Digest of what a module does: its syntax tree without docstrings, comments, formatting and annotations.
+
+    The text form is our own, because Python's `ast.dump` differs between versions.
+    """
+    return digest_bytes(_text(_without_docstrings(ast.parse(source))).encode())
+
+
+def _without_docstrings(tree: ast.AST) -> ast.AST:
+    for node in ast.walk(tree):
+        body = getattr(node, "body", None)
+        if isinstance(body, list) and isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
+            # a text that stands alone, also behind an assignment, says something and does nothing
+            node.body = [item for item in body if not _is_text(item)]
+    return tree
+
+
+def _is_text(node: ast.AST) -> bool:
+    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+
+
+def _text(node: Any) -> str:
+    if isinstance(node, ast.AnnAssign) and node.value is None:
+        return f"declare({_text(node.target)})"
+    if isinstance(node, ast.AST):
+        fields = [
+            f"{name}={_text(value)}"
+            for name, value in ast.iter_fields(node)
+            if name not in _ANNOTATIONS and name not in ("ctx", "kind") and value is not None and value != []
+        ]
+        return f"{type(node).__name__}({','.join(fields)})"
+    if isinstance(node, list):
+        return f"[{','.join(_text(item) for item in node)}]"
+    return repr(node)
+
+
+@functools.cache
+def module_code(name: str) -> Mapping[str, str]:
+    """Digest of the code of a module and of the modules of its package that it imports, by module name."""
+    return dict(sorted(_closure(name, {}).items()))
+
+
+@functools.cache
+def module_libraries(name: str) -> Mapping[str, str]:
+    """Versions of the numeric libraries that a module and the modules of ours that it calls import."""
+    used = set()
+    for module in module_code(name):
+        used |= {imported.split(".")[0] for imported in _imports(_parse(module), module)}
+    return {NUMERIC[u]: importlib.metadata.version(NUMERIC[u]) for u in sorted(used & set(NUMERIC))}
+
+
+def _parse(module: str) -> ast.Module:
+    return ast.parse(_source(module).read_text(encoding="utf-8"))
+
+
+def _closure(module: str, found: dict[str, str]) -> dict[str, str]:
+    if module in found:
+        return found
+    found[module] = code_digest(_source(module).read_text(encoding="utf-8"))
+    package = module.split(".")[0]
+    for imported in _imports(_parse(module), module):
+        if imported.split(".")[0] == package and imported != package:
+            _closure(imported, found)
+    return found
+
+
+def _source(module: str) -> Path:
+    spec = importlib.util.find_spec(module)
+    if spec is None or spec.origin is None:
+        raise ModuleNotFoundError(f"the source of {module} cannot be found, so it cannot be in a key")
+    return Path(spec.origin)
+
+
+def _imports(tree: ast.AST, module: str) -> Iterable[str]:
+    """The modules that a module imports, wherever in it the import stands."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:
+                parts = module.split(".")[: -node.level]
+                base = ".".join([*parts, *([base] if base else [])])
+            for alias in node.names:
+                candidate = f"{base}.{alias.name}"
+                yield candidate if _is_module(candidate, module) else base
+
+
+@functools.cache
+def _is_module(name: str, importer: str) -> bool:
+    if name.split(".")[0] != importer.split(".")[0]:
+        return False
+    try:
+        return importlib.util.find_spec(name) is not None
+    except ModuleNotFoundError:
+        return False
+
+
+def stage_parts(stage: Stage, module: str, params: Params) -> dict[str, Any]:
+    """What the stage key is the digest of."""
+    return {
+        "engine": ENGINE,
+        "stage": stage.name,
+        "version": stage.version,
+        "code": dict(module_code(module)),
+        "parameters": params.model_dump(mode="json"),
+        "libraries": dict(module_libraries(module)),
+    }
+
+
+def plain_context(context: Any) -> Any:
+    """A context as plain data: pictures become the digest of their values."""
+    if isinstance(context, CalibrationPicture):
+        return {"picture": context.digest}
+    if isinstance(context, Mapping):
+        return {str(key): plain_context(value) for key, value in context.items()}
+    if isinstance(context, list | tuple):
+        return [plain_context(value) for value in context]
+    return context
+
+
+def block_key(stage_key: str, context: str, reads: Mapping[str, Sequence[str]]) -> str:
+    """Key of a block: its stage, the digest of its context, and the values that it reads."""
+    return digest_value({"stage": stage_key, "context": context, "reads": {k: list(v) for k, v in reads.items()}})
+
+
+def recipe(stage_key: str, contexts: Iterable[str], above: Sequence[str]) -> str:
+    """What names a node's result folder: everything that decides it but the pictures."""
+    return digest_value({"stage": stage_key, "contexts": sorted(set(contexts)), "above": list(above)})

@@ -1,0 +1,201 @@
+"""`pipeline.yaml` -> a checked graph.
+
+Everything that can be known from the file alone is checked here, all errors at once, each with file, line,
+column, the offending text and the nearest valid name.
+"""
+
+import importlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from dag.stage import Params, Stage
+from store import document
+from store.document import Document, nearest
+from store.errors import RequestError, raise_all
+
+
+class _NodeEntry(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    uses: str = Field(description="the stage")
+    from_: str | tuple[str, ...] = Field((), alias="from", description="the node or nodes that it reads")
+    params: dict[str, Any] | None = Field(None, description="parameters that differ from the stage's defaults")
+
+
+class _PipelineFile(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    stages: dict[str, _NodeEntry] = Field(min_length=1, description="the nodes by name")
+
+
+@dataclass(frozen=True)
+class Node:
+    """One node of the graph."""
+
+    name: str
+    stage: Stage
+    module: str
+    params: Params
+    above: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Graph:
+    """A checked pipeline; `nodes` is in an order in which each comes after those that it reads."""
+
+    nodes: Mapping[str, Node]
+    source: str
+
+    def with_all_above(self, names: Sequence[str]) -> list[str]:
+        """These nodes and all that they need, in order; all nodes when none is named.
+
+        Raises:
+            RequestError: a name is not in the pipeline.
+        """
+        unknown = [name for name in names if name not in self.nodes]
+        if unknown:
+            raise RequestError(f"{self.source} has no node '{unknown[0]}'{nearest(unknown[0], self.nodes)}")
+        wanted = set(names or self.nodes)
+        for name in reversed(self.nodes):
+            if name in wanted:
+                wanted |= set(self.nodes[name].above)
+        return [name for name in self.nodes if name in wanted]
+
+
+def load_graph(
+    path: Path, table: Mapping[str, str], *, overrides: Sequence[str] = ()
+) -> Graph:
+    """Read a pipeline file and check it against the stages.
+
+    Args:
+        path: the YAML file.
+        table: stage name -> module that holds its `STAGE`.
+        overrides: `node.param=value`, as given with --set.
+
+    Raises:
+        RequestError: everything that is wrong, a line each.
+    """
+    source = document.load(path, what="a pipeline")
+    entries = document.check(source, _PipelineFile).stages
+    problems: list[str] = []
+    changes = _parse_overrides(overrides, entries, problems)
+    nodes: dict[str, Node] = {}
+    for name, entry in entries.items():
+        at = ("stages", name)
+        if entry.uses not in table:
+            spot = source.at((*at, "uses"))
+            problems.append(f"{spot}: there is no stage '{entry.uses}'{nearest(entry.uses, table)}")
+            continue
+        module = table[entry.uses]
+        stage: Stage = importlib.import_module(module).STAGE
+        above = (entry.from_,) if isinstance(entry.from_, str) else entry.from_
+        params = _parameters(source, name, stage, entry, changes.get(name, {}), problems)
+        for upper in above:
+            if upper not in entries:
+                spot = source.at((*at, "from"))
+                problems.append(f"{spot}: '{name}' reads '{upper}', which is no node here{nearest(upper, entries)}")
+        if len(above) != stage.sources:
+            spot = source.at((*at, "from"))
+            wants = f"{stage.sources} node(s)" if stage.sources else "none: it brings in the session"
+            problems.append(f"{spot}: '{name}' names {len(above)} node(s) in 'from'; the stage {stage.name} reads {wants}")
+        if params is not None:
+            nodes[name] = Node(name, stage, module, params, above)
+    order = _order(source, {name: (e.from_,) if isinstance(e.from_, str) else e.from_ for name, e in entries.items()}, problems)
+    for name in order:
+        if name in nodes:
+            problems += _misfits(source, nodes[name], nodes)
+    raise_all(problems)
+    return Graph({name: nodes[name] for name in order}, source.name)
+
+
+def _parse_overrides(
+    overrides: Sequence[str], entries: Mapping[str, Any], problems: list[str]
+) -> dict[str, dict[str, Any]]:
+    changes: dict[str, dict[str, Any]] = {}
+    for text in overrides:
+        target, equals, value = text.partition("=")
+        name, dot, parameter = target.partition(".")
+        if not (equals and dot and name and parameter):
+            problems.append(f"--set {text}: expected node.parameter=value")
+        elif name not in entries:
+            problems.append(f"--set {text}: there is no node '{name}'{nearest(name, entries)}")
+        else:
+            try:
+                changes.setdefault(name, {})[parameter] = document.scalar(value)
+            except RequestError as error:
+                problems.append(f"--set {text}: {error}")
+    return changes
+
+
+def _parameters(
+    source: Document,
+    name: str,
+    stage: Stage,
+    entry: _NodeEntry,
+    changes: Mapping[str, Any],
+    problems: list[str],
+) -> Params | None:
+    where = ("stages", name, "params")
+    given = dict(entry.params or {}) | dict(changes)
+    try:
+        return stage.params.model_validate(given)
+    except ValidationError as error:
+        for problem in error.errors():
+            key = problem["loc"][0] if problem["loc"] else None
+            line = document.sentence(source, stage.params, where, dict(problem))
+            if key in changes:
+                line = f"--set {name}.{key}={changes[str(key)]}: " + line.split(": ", 1)[1]
+            elif problem["type"] == "extra_forbidden":
+                line += f" (parameters of {stage.name})"
+            problems.append(line)
+        return None
+
+
+def _order(source: Document, above: Mapping[str, Sequence[str]], problems: list[str]) -> list[str]:
+    """Topological, in the file's order where it is free."""
+    order: list[str] = []
+    state: dict[str, int] = {}
+
+    def visit(name: str, path: tuple[str, ...]) -> None:
+        if state.get(name) == 2 or name not in above:
+            return
+        if state.get(name) == 1:
+            circle = " -> ".join((*path[path.index(name) :], name))
+            problems.append(f"{source.at(('stages', name, 'from'))}: the nodes read each other in a circle: {circle}")
+            return
+        state[name] = 1
+        for upper in above[name]:
+            visit(upper, (*path, name))
+        state[name] = 2
+        order.append(name)
+
+    for name in above:
+        visit(name, ())
+    return order
+
+
+def _misfits(source: Document, node: Node, nodes: Mapping[str, Node]) -> list[str]:
+    """Inputs whose array or dimensions are not what the node above puts out."""
+    found = []
+    spot = source.at(("stages", node.name, "from"))
+    for spec in node.stage.inputs.values():
+        if spec.source >= len(node.above) or node.above[spec.source] not in nodes:
+            continue
+        upper = nodes[node.above[spec.source]]
+        output = upper.stage.outputs.get(spec.array)
+        if output is None:
+            have = ", ".join(upper.stage.outputs)
+            found.append(
+                f"{spot}: '{node.name}' reads the array '{spec.array}', and '{upper.name}' "
+                f"(stage {upper.stage.name}) puts out {have}"
+            )
+        elif output.dims != spec.dims:
+            found.append(
+                f"{spot}: '{node.name}' reads {spec.array}({', '.join(spec.dims)}), and '{upper.name}' "
+                f"(stage {upper.stage.name}) puts out {spec.array}({', '.join(output.dims)})"
+            )
+    return found

@@ -1,0 +1,470 @@
+"""Computes what is not known yet, on Dask. The only module that imports Dask.
+
+A task gets the records of the blocks above it (digests, never arrays), makes its key, and only computes when
+no record of that key exists. So a stage that ran again with equal output stops the cascade in the same run.
+The same graph runs on threads, on local processes and on a `distributed` cluster that shares the store.
+"""
+
+import contextlib
+import inspect
+import os
+import platform
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dag.fingerprint import block_key, plain_context
+from dag.plan import NodePlan, NodeState, Piece, Plan, State, look_up
+from dag.stage import Stage, StageError
+from store.chunks import ChunkRef
+from store.digest import digest_value
+from store.errors import DamagedChunk, RequestError, WorkError
+from store.keeper import quarantine_chunk
+from store.records import BlockRecord
+from store.results import ResultName, current, publish, set_current
+from store.root import Store
+
+
+class Watcher(Protocol):
+    """Is told how a run goes on."""
+
+    def begin(self, totals: Mapping[str, int]) -> None:
+        """Blocks to do, by node."""
+
+    def done(self, node: str, computed: bool) -> None:
+        """One block of a node is there."""
+
+    def warn(self, text: str) -> None:
+        """Something that the user should know."""
+
+
+@dataclass(frozen=True)
+class Where:
+    """Where the tasks run: threads here, local processes, or a cluster."""
+
+    threads: int = field(default_factory=lambda: len(os.sched_getaffinity(0)))
+    workers: int | None = None
+    scheduler: str | None = None
+
+
+@dataclass(frozen=True)
+class NodeResult:
+    """What a run did for one node."""
+
+    computed: int
+    reused: int
+    seconds: float
+    """Time in kernels and writing, summed over threads."""
+    size: int
+    path: Path | None
+    chunks: tuple[ChunkRef, ...]
+    attrs: Mapping[str, Any]
+
+
+class BlockTask:
+    """What a worker needs to make one block. A plain object, so that Dask looks for no graph inside."""
+
+    __slots__ = ("arrays", "block", "context", "context_digest", "node", "params", "place", "reads", "stage_key",
+                 "stage_module", "store_root")  # fmt: skip
+
+    def __init__(self, node: NodePlan, index: int, store_root: Path, place: Mapping[tuple[str, int], int]) -> None:
+        block = node.blocks[index]
+        self.node = node.node.name
+        self.stage_module = node.node.module
+        self.params = node.node.params
+        self.stage_key = node.stage_key
+        self.block = block.label
+        self.context_digest = block.context
+        self.context = node.contexts.get(block.context, {})
+        self.arrays = {
+            name: (template.dtype, template.chunk, len(node.chunk_indices(block, name)))
+            for name, template in node.arrays.items()
+        }
+        self.reads = block.reads
+        self.store_root = store_root
+        self.place = place
+        """(node above, its block) -> position among the records that the task is given."""
+
+
+def execute(task: BlockTask, *above: BlockRecord) -> BlockRecord:
+    """Make one block, or find that it is there."""
+    store = _store(task.store_root)
+    refs = {
+        name: [[above[task.place[n, i]].outputs[array][k] for n, i, array, k in piece.chunks] for piece in pieces]
+        for name, pieces in task.reads.items()
+    }
+    values = {name: [ref.value for piece in pieces for ref in piece] for name, pieces in refs.items()}
+    key = block_key(task.stage_key, task.context_digest, values)
+    known = store.records.block(key)
+    if known is not None and all(store.chunks.has(ref) for ref in known.chunks()):
+        return known
+    began = time.perf_counter()
+    stage: Stage = import_module(task.stage_module).STAGE
+    _single_threaded_libraries()
+    try:
+        outputs = _call_kernel(task, stage, refs, store)
+    except StageError as error:
+        raise WorkError(f"{task.node}, {task.block}: {error}") from error
+    written, stats = _write(task, outputs, store)
+    record = BlockRecord(
+        key=key,
+        outputs=written,
+        stats=stats,
+        trace={"stage": task.stage_key, "context": task.context_digest, "reads": values},
+        seconds=time.perf_counter() - began,
+        reused=False,
+    )
+    standing, same = store.records.put_block(record)
+    if not same:
+        if all(store.chunks.has(ref) for ref in standing.chunks()):
+            note = {"not_deterministic": 1.0}
+            return replace(standing, stats={**standing.stats, **note}, reused=False)
+        store.records.renew_block(record)
+    elif known is not None:
+        store.records.renew_block(record)  # the same values, whose chunks had been lost
+    return record
+
+
+def _call_kernel(
+    task: BlockTask, stage: Stage, refs: Mapping[str, list[list[ChunkRef]]], store: Store
+) -> Mapping[str, Any]:
+    assert stage.kernel is not None
+    inputs: dict[str, Any] = {}
+    for name, pieces in task.reads.items():
+        loader = Pieces(pieces, refs[name], store)
+        inputs[name] = loader[0] if stage.inputs[name].how == "each" else loader
+    prepared = prepare(stage, task.stage_module, task.context, task.context_digest, task.params)
+    accepted = inspect.signature(stage.kernel).parameters
+    chosen = {name: value for name, value in task.params if name in accepted and name not in prepared}
+    return stage.kernel(**inputs, **prepared, **chosen)
+
+
+class Pieces(Sequence[NDArray[Any]]):
+    """The arrays of a group, each read from the store when it is asked for."""
+
+    def __init__(self, pieces: Sequence[Piece], refs: Sequence[Sequence[ChunkRef]], store: Store) -> None:
+        self._pieces, self._refs, self._store = pieces, refs, store
+
+    def __len__(self) -> int:
+        return len(self._pieces)
+
+    def __getitem__(self, index: Any) -> Any:
+        piece, refs = self._pieces[index], self._refs[index]
+        parts = [self._store.chunks.get(ref, dtype=piece.dtype, shape=piece.chunk_shape) for ref in refs]
+        whole = parts[0].reshape(piece.shape) if len(parts) == 1 else np.stack(parts).reshape(piece.shape)
+        if piece.scale is not None:
+            known = whole != piece.fill
+            whole = np.where(known, whole * np.float32(piece.scale), np.float32(np.nan))
+        return whole
+
+
+def _write(
+    task: BlockTask, outputs: Mapping[str, Any], store: Store
+) -> tuple[dict[str, tuple[ChunkRef, ...]], dict[str, float]]:
+    written: dict[str, tuple[ChunkRef, ...]] = {}
+    for name, (dtype, chunk, count) in task.arrays.items():
+        array = np.asarray(outputs[name])
+        expected = count * int(np.prod(chunk))
+        if array.dtype != np.dtype(dtype) or array.size != expected:
+            raise WorkError(
+                f"{task.node}, {task.block}: the kernel gave '{name}' as {array.dtype}{array.shape}; declared is "
+                f"{dtype} in {count} chunk(s) of {chunk}"
+            )
+        written[name] = tuple(store.chunks.put(part) for part in array.reshape(count, *chunk))
+    stats = {name: float(value) for name, value in outputs.get("stats", {}).items()}
+    return written, stats
+
+
+_prepared: dict[tuple[str, str, str], Mapping[str, Any]] = {}
+_preparing = threading.Lock()
+
+
+def prepare(stage: Stage, module: str, context: Mapping[str, Any], digest: str, params: Any) -> Mapping[str, Any]:
+    """The context as the kernel gets it; made once per process for each stage, context and parameters."""
+    if stage.prepare is None:
+        return context
+    key = (module, digest, digest_value(params.model_dump(mode="json")))
+    with _preparing:
+        if key not in _prepared:
+            while len(_prepared) >= 64:
+                _prepared.pop(next(iter(_prepared)))
+            accepted = inspect.signature(stage.prepare).parameters
+            chosen = {name: value for name, value in params if name in accepted}
+            _prepared[key] = stage.prepare(**{**context, **chosen})
+        return _prepared[key]
+
+
+_stores: dict[Path, Store] = {}
+
+
+def _store(root: Path) -> Store:
+    if root not in _stores:
+        _stores[root] = Store(root)
+    return _stores[root]
+
+
+def _single_threaded_libraries() -> None:
+    """Dask has the threads: OpenCV's would multiply with them, and its results may differ with their number."""
+    import cv2
+
+    if cv2.getNumThreads() != 1:
+        cv2.setNumThreads(1)
+
+
+def run(plan: Plan, store: Store, watcher: Watcher, *, frames: tuple[int, int] | None = None, where: Where) -> State:
+    """Compute every selected block of a plan that is not known, and publish the results.
+
+    A damaged chunk that is met on the way is quarantined and made again.
+
+    Raises:
+        WorkError: a kernel refused, the disk is full, a raw picture is damaged.
+    """
+    _stores[store.root] = store
+    for _ in range(8):
+        state = look_up(plan, store, frames=frames)
+        try:
+            _compute(state, store, watcher, where)
+            return state
+        except DamagedChunk as damage:
+            told = quarantine_chunk(store, damage.blob)
+            if "import" in told:
+                raise WorkError(f"{damage}; it was {told}") from None
+            watcher.warn(f"{damage}; it was {told}")
+    raise WorkError(f"chunks in {store.root} are damaged faster than they are made again; check the disk")
+
+
+def _compute(state: State, store: Store, watcher: Watcher, where: Where) -> None:
+    missing = {name: node.missing() for name, node in state.nodes.items()}
+    missing = {name: blocks for name, blocks in missing.items() if blocks}
+    watcher.begin({name: sum(node.selected) for name, node in state.nodes.items() if not _is_source(node)})
+    for name, node in state.nodes.items():
+        if not _is_source(node):
+            for i, record in enumerate(node.records):
+                if record is not None and node.selected[i]:
+                    watcher.done(name, computed=False)
+    if not missing:
+        return
+    _check_contexts(state, missing)
+    graph: dict[Any, Any] = {}
+    for name, blocks in missing.items():
+        for i in blocks:
+            graph[name, i] = _as_task(state, name, i, store)
+    on_done = _Collector(state, watcher)
+    if where.scheduler or where.workers:
+        _run_distributed(graph, where, on_done)
+    else:
+        _run_threads(graph, where.threads, on_done)
+
+
+def _is_source(node: NodeState) -> bool:
+    return node.plan.node.stage.is_source
+
+
+def _as_task(state: State, name: str, index: int, store: Store) -> tuple[Any, ...]:
+    node = state.nodes[name].plan
+    above: dict[tuple[str, int], int] = {}
+    for pieces in node.blocks[index].reads.values():
+        for piece in pieces:
+            for upper, i, _, _ in piece.chunks:
+                above.setdefault((upper, i), len(above))
+    arguments = []
+    for upper, i in above:
+        record = state.nodes[upper].records[i]
+        arguments.append((upper, i) if record is None else _Known(record))
+    return (_execute_known, BlockTask(node, index, store.root, above), *arguments)
+
+
+class _Known:
+    """A record in an argument; wrapped, so that Dask looks for no graph inside."""
+
+    __slots__ = ("record",)
+
+    def __init__(self, record: BlockRecord) -> None:
+        self.record = replace(record, trace={})
+
+
+def _execute_known(task: BlockTask, *above: "BlockRecord | _Known") -> BlockRecord:
+    return execute(task, *(item.record if isinstance(item, _Known) else item for item in above))
+
+
+def _check_contexts(state: State, missing: Mapping[str, Sequence[int]]) -> None:
+    """Prepare every context that is needed before anything is written, so that bad calibration is refused first."""
+    problems = []
+    for name, blocks in missing.items():
+        node = state.nodes[name].plan
+        stage = node.node.stage
+        for digest in dict.fromkeys(node.blocks[i].context for i in blocks):
+            if stage.context is None:
+                continue
+            try:
+                prepare(stage, node.node.module, node.contexts[digest], digest, node.node.params)
+            except StageError as error:
+                problems.append(f"session '{state.plan.session.name}', {name}: {error}")
+    if problems:
+        raise RequestError("\n".join(dict.fromkeys(problems)))
+
+
+class _Collector:
+    """Takes in finished blocks."""
+
+    def __init__(self, state: State, watcher: Watcher) -> None:
+        self._state, self._watcher = state, watcher
+
+    def __call__(self, key: tuple[str, int], record: BlockRecord) -> None:
+        name, index = key
+        if "not_deterministic" in record.stats:
+            node = self._state.nodes[name].plan
+            self._watcher.warn(
+                f"{name}, {node.blocks[index].label}: computed again, it came out different; the first result stays. "
+                "The kernel is not deterministic, or this machine computes otherwise than the one before"
+            )
+            record = replace(record, stats={k: v for k, v in record.stats.items() if k != "not_deterministic"})
+        self._state.nodes[name].records[index] = record
+        self._watcher.done(name, computed=not record.reused)
+
+
+def _run_threads(graph: Mapping[Any, Any], threads: int, on_done: Callable[[Any, BlockRecord], None]) -> None:
+    import dask.threaded
+    from dask.callbacks import Callback
+
+    def after(key: Any, result: Any, graph: Any, state: Any, worker: Any) -> None:
+        if isinstance(result, BlockRecord):
+            on_done(key, result)
+
+    with Callback(posttask=after):
+        dask.threaded.get(dict(graph), list(graph), num_workers=threads)
+
+
+def _run_distributed(graph: Mapping[Any, Any], where: Where, on_done: Callable[[Any, BlockRecord], None]) -> None:
+    from distributed import as_completed
+
+    with _client(where) as client:
+        futures = client.get(dict(graph), list(graph), sync=False)
+        waiting = {future.key: key for key, future in zip(graph, futures, strict=True)}
+        for future, record in as_completed(futures, with_results=True):
+            on_done(waiting[future.key], record)
+
+
+@contextlib.contextmanager
+def _client(where: Where) -> Iterator[Any]:
+    import dask
+    from distributed import Client, LocalCluster
+
+    if where.scheduler:
+        try:
+            client = Client(where.scheduler, timeout="10s")
+        except (OSError, TimeoutError, ValueError) as error:
+            raise RequestError(f"--scheduler {where.scheduler}: no Dask scheduler answers there ({error})") from None
+        with client:
+            yield client
+        return
+    quiet = {"distributed.worker.memory.target": False, "distributed.worker.memory.spill": False}
+    with (
+        dask.config.set(quiet),
+        LocalCluster(n_workers=where.workers, threads_per_worker=1, processes=True, dashboard_address=None) as cluster,
+        Client(cluster) as client,
+    ):
+        yield client
+
+
+def publish_results(state: State, store: Store, versions: Mapping[str, str]) -> dict[str, NodeResult]:
+    """Make the result folder of every node that has blocks, and let `current` name it."""
+    results = {}
+    for name, node in state.nodes.items():
+        if not _is_source(node):
+            results[name] = _publish(state, name, node, store, versions)
+    return results
+
+
+def _publish(state: State, name: str, node: NodeState, store: Store, versions: Mapping[str, str]) -> NodeResult:
+    chosen = [r for r, selected in zip(node.records, node.selected, strict=True) if r is not None and selected]
+    computed = [record for record in chosen if not record.reused]
+    refs = tuple(ref for record in chosen for ref in record.chunks())
+    stats = {key: float(np.mean([r.stats[key] for r in chosen])) for key in sorted({k for r in chosen for k in r.stats})}
+    plan = node.plan
+    attrs = {**{k: v for k, v in plan.grid.attrs.items() if v != ""}, **stats}
+    if plan.absent:
+        attrs["calibration_absent"] = "; ".join(
+            f"{kind}: {plan.node.stage.calibration[kind].why}" for kind in plan.absent
+        )
+    path = None
+    if chosen:
+        session = state.plan.session
+        result = ResultName(session.name, name, plan.recipe, node.manifest())
+        if len(chosen) < len(plan.blocks):
+            attrs["partial"] = f"{len(chosen)} of {len(plan.blocks)} blocks"
+        items = {kind: state.plan.items[kind].name for kind in plan.node.stage.calibration if kind in state.plan.items}
+        attrs |= {
+            "session": session.name,
+            "node": name,
+            "stage": plan.node.stage.name,
+            "recipe": plan.recipe,
+            "parameters": plan.node.params.model_dump(mode="json"),
+            "calibration_items": items,
+        }
+        chunks = node.chunks()
+        path = publish(
+            result,
+            store,
+            arrays=plan.arrays,
+            coordinates=plan.coordinates(),
+            attrs=attrs,
+            chunks=chunks,
+            provenance={
+                "parts": plain_parts(plan),
+                "inputs": _input_values(state, node),
+                "above": {u: current(session.name, u, store) for u in plan.node.above},
+                "before": current(session.name, name, store),
+                "items": items,
+                "versions": dict(versions),
+                "computed": len(computed),
+                "seconds": sum(record.seconds for record in chosen),
+                "bytes": sum(ref.size for ref in refs),
+                "host": platform.node(),
+                "finished": datetime.now(UTC).isoformat(timespec="seconds"),
+                "chunks": {
+                    array: {"/".join(map(str, index)): ref.as_plain() for index, ref in placed.items()}
+                    for array, placed in chunks.items()
+                },
+            },
+        )
+        set_current(result, store)
+        if len(chosen) == len(plan.blocks) and node.node_key is None:
+            node.keys = [record.key for record in chosen]
+        if len(chosen) == len(plan.blocks) and node.node_key is not None:
+            store.records.put_node(node.node_key, chosen)
+    return NodeResult(
+        len(computed), len(chosen) - len(computed), sum(r.seconds for r in computed), sum(r.size for r in refs), path,
+        refs, attrs,
+    )  # fmt: skip
+
+
+def plain_parts(plan: NodePlan) -> dict[str, Any]:
+    """What decides a node's result beside the pictures, by name, for people and for `why`."""
+    contexts = {digest: plain_context(context) for digest, context in sorted(plan.contexts.items())}
+    return {**plan.parts, "context": {block.label: contexts.get(block.context, {}) for block in plan.blocks}}
+
+
+def _input_values(state: State, node: NodeState) -> dict[str, list[str]]:
+    values: dict[str, list[str]] = {}
+    for block, record in zip(node.plan.blocks, node.records, strict=True):
+        if record is None:
+            continue
+        read = []
+        for pieces in block.reads.values():
+            for piece in pieces:
+                for upper, i, array, offset in piece.chunks:
+                    above = state.nodes[upper].records[i]
+                    if above is not None:
+                        read.append(above.outputs[array][offset].value)
+        values[block.label] = read
+    return values
+

@@ -1,0 +1,345 @@
+"""Calibration items: one measured fact of the rig each, addressed by its own content.
+
+An item is a small YAML file (and the pictures it names). Stored, it is
+
+    calibration/<kind>-<digest>/item.yaml     the file as it came, for people
+    calibration/<kind>-<digest>/item.json     its numbers and the chunks of its pictures
+
+The digest is of the numbers alone: other formatting, another comment, another rig name give the same item.
+"""
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from store import document
+from store.chunks import ChunkRef
+from store.digest import SHORT, digest_value
+from store.errors import DamagedChunk, RequestError
+from store.files import replace
+from store.picture import PictureError, decode, read_file
+from store.root import Store
+
+Vector = tuple[float, float, float]
+Matrix = tuple[Vector, Vector, Vector]
+NOTES = ("rig", "valid_from", "measured_from", "residuals")
+"""Said of an item, but no part of its value."""
+
+
+class _Item(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, populate_by_name=True, allow_inf_nan=False)
+
+    rig: str | None = Field(None, description="the rig that this was measured on")
+    valid_from: str | None = Field(None, description="date from which it holds, ISO 8601")
+    measured_from: str | None = Field(None, description="the session it was measured from")
+    residuals: Any = Field(None, description="how well it fits")
+
+
+class Pose(_Item):
+    """World to camera: X_camera = R X_world + t."""
+
+    R: Matrix
+    t_mm: Vector
+
+
+class CameraItem(_Item):
+    """The reference camera."""
+
+    item: Literal["camera"]
+    size_px: tuple[int, int] = Field(description="width, height")
+    K: Matrix = Field(description="intrinsic matrix, pixels")
+    distortion: tuple[float, float, float, float, float] = Field((0.0,) * 5, description="k1 k2 p1 p2 k3")
+    world_to_camera: Pose
+
+
+class HomographyItem(_Item):
+    """(x, y, 1) in one camera, mount undone, to (x', y', 1) in the other."""
+
+    item: Literal["homography"]
+    from_: str = Field(alias="from", description="camera")
+    to: str = Field(description="camera")
+    matrix: Matrix
+
+    @model_validator(mode="after")
+    def _invertible(self) -> "HomographyItem":
+        matrix = np.asarray(self.matrix)
+        scale = np.abs(matrix).max()
+        if scale == 0 or abs(np.linalg.det(matrix / scale)) < 1e-12:
+            raise ValueError("the matrix cannot be inverted")
+        return self
+
+
+class Light(_Item):
+    """One LED."""
+
+    id: str
+    channel: int | None = None
+    position_mm: Vector | None = Field(None, description="where it is, world frame")
+    direction: Vector | None = Field(None, description="towards a distant light, world frame")
+    drive_position: Vector | None = Field(None, description="unit vector that its weights were made from")
+    power: float = Field(1.0, gt=0)
+    seen: bool = Field(True, description="false: placed by symmetry")
+
+    @model_validator(mode="after")
+    def _one_place(self) -> "Light":
+        if (self.position_mm is None) == (self.direction is None):
+            raise ValueError(f"light {self.id} needs either position_mm or direction")
+        place = np.asarray(self.position_mm or self.direction)
+        if not np.any(place):
+            raise ValueError(f"light {self.id} is at the origin, so it has no direction")
+        return self
+
+
+class LightsItem(_Item):
+    """Where the lights are."""
+
+    item: Literal["lights"]
+    drive: Literal["ideal", "measured"] = Field("ideal", description="where the weights came from")
+    lights: tuple[Light, ...] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _each_once(self) -> "LightsItem":
+        names = [light.id for light in self.lights]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ValueError(f"light {twice[0]} stands twice")
+        return self
+
+
+class DarkItem(_Item):
+    """What each camera records without light, sensor orientation."""
+
+    item: Literal["dark"]
+    images: dict[str, str] = Field(min_length=1, description="camera: picture")
+    scale: float = Field(1.0, gt=0, description="stored value = counts x scale")
+
+
+class FlatItem(_Item):
+    """What each camera records of one uniform target, sensor orientation."""
+
+    item: Literal["flat"]
+    images: dict[str, str] = Field(min_length=1, description="camera: picture")
+    scale: float = Field(1.0, gt=0, description="stored value = counts x scale")
+    dark_included: bool = Field(False, description="true if the dark is still in it")
+
+
+class Band(_Item):
+    """One filter: counts = exposure x transmission x source x radiance."""
+
+    centre_nm: float
+    width_nm: float | None = Field(None, description="null: broadband")
+    exposure: float = Field(gt=0)
+    transmission: float = Field(1.0, gt=0)
+    source: float = Field(1.0, gt=0)
+    curve: tuple[tuple[float, float], ...] | None = Field(None, description="nm, transmission")
+
+
+class BandsItem(_Item):
+    """The filter wheel."""
+
+    item: Literal["bands"]
+    bands: tuple[Band, ...] = Field(min_length=1)
+
+
+KINDS: Mapping[str, type[_Item]] = {
+    "camera": CameraItem,
+    "homography": HomographyItem,
+    "lights": LightsItem,
+    "dark": DarkItem,
+    "flat": FlatItem,
+    "bands": BandsItem,
+}
+
+
+@dataclass(frozen=True)
+class StoredPicture:
+    """A calibration picture: a chunk and what it decodes to."""
+
+    chunk: ChunkRef
+    dtype: str
+    shape: tuple[int, ...]
+
+    def as_plain(self) -> dict[str, Any]:
+        """For JSON."""
+        return {"chunk": self.chunk.as_plain(), "dtype": self.dtype, "shape": list(self.shape)}
+
+    @classmethod
+    def from_plain(cls, plain: Mapping[str, Any]) -> "StoredPicture":
+        """From JSON."""
+        return cls(ChunkRef.from_plain(plain["chunk"]), plain["dtype"], tuple(plain["shape"]))
+
+    def load(self, store: Store) -> NDArray[Any]:
+        """The pixels, (y, x)."""
+        return store.chunks.get(self.chunk, dtype=self.dtype, shape=self.shape)
+
+
+@dataclass(frozen=True)
+class Item:
+    """One calibration item in the store."""
+
+    kind: str
+    digest: str
+    values: Mapping[str, Any]
+    """Its numbers, without the notes and the pictures' file names."""
+    notes: Mapping[str, Any]
+    pictures: Mapping[str, StoredPicture]
+    """By camera; dark and flat have them."""
+
+    @property
+    def name(self) -> str:
+        """The short name: kind and the first digits."""
+        return f"{self.kind}-{self.digest[:SHORT]}"
+
+
+def read_item(path: Path, store: Store, *, kind: str | None = None) -> tuple[Item, bytes]:
+    """Read and check an item file; its pictures go into the store as chunks. Returns it with the file's bytes.
+
+    Raises:
+        RequestError: the file or a picture is missing or wrong, or the item is of another kind than asked for.
+    """
+    source = document.load(path, what=f"a calibration item ({kind or ', '.join(KINDS)})")
+    found = source.value.get("item") if isinstance(source.value, dict) else None
+    if not isinstance(found, str) or found not in KINDS:
+        hint = document.nearest(str(found), KINDS)
+        raise RequestError(f"{source.at(('item',))}: the item '{found}' is not known{hint}")
+    if kind is not None and found != kind:
+        raise RequestError(f"{source.at(('item',))}: this is a {found} item, where {kind} was asked for")
+    model = document.check(source, KINDS[found])
+    values = model.model_dump(mode="json", by_alias=True)
+    notes = {name: values.pop(name) for name in NOTES if values.get(name) is not None}
+    values = _without_notes(values)
+    pictures: dict[str, StoredPicture] = {}
+    problems: list[str] = []
+    for camera, name in dict(values.pop("images", {})).items():
+        file = path.parent / name
+        try:
+            pixels = decode(read_file(file)[0])
+            if pixels.ndim != 2:
+                raise PictureError(f"has {pixels.shape[2]} channels; one is expected")
+        except PictureError as error:
+            problems.append(f"{source.at(('images', camera))}: {file} {error}")
+            continue
+        pictures[camera] = StoredPicture(store.chunks.put(pixels), pixels.dtype.str, pixels.shape)
+    if problems:
+        raise RequestError("\n".join(problems))
+    content = {"values": values, "pictures": {camera: p.chunk.value for camera, p in pictures.items()}}
+    item = Item(found, digest_value(content), values, notes, pictures)
+    return item, path.read_bytes()
+
+
+def _without_notes(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _without_notes(v) for k, v in value.items() if not (k in NOTES and v is None)}
+    if isinstance(value, list | tuple):
+        return [_without_notes(v) for v in value]
+    return value
+
+
+def put_item(item: Item, original: bytes, store: Store) -> None:
+    """Keep an item in the store; the notes of the newest file with these numbers win."""
+    folder = store.calibration / item.name
+    plain = {
+        "kind": item.kind,
+        "digest": item.digest,
+        "values": item.values,
+        "notes": item.notes,
+        "pictures": {camera: picture.as_plain() for camera, picture in item.pictures.items()},
+    }
+    replace(store.scratch, folder / "item.yaml", original)
+    replace(store.scratch, folder / "item.json", json.dumps(plain, indent=1).encode())
+
+
+def get_item(kind: str, digest: str, store: Store) -> Item:
+    """An item by its digest.
+
+    Raises:
+        RequestError: it is not in the store.
+    """
+    path = store.calibration / f"{kind}-{digest[:SHORT]}" / "item.json"
+    try:
+        plain = json.loads(path.read_bytes())
+    except (FileNotFoundError, ValueError):
+        raise RequestError(f"the {kind} item {digest[:SHORT]} is not in the store; import its capture again") from None
+    pictures = {camera: StoredPicture.from_plain(picture) for camera, picture in plain["pictures"].items()}
+    return Item(plain["kind"], plain["digest"], plain["values"], plain["notes"], pictures)
+
+
+def all_items(store: Store) -> list[Item]:
+    """Every item in the store, by name."""
+    items = []
+    for path in sorted(store.calibration.glob("*/item.json")):
+        plain = json.loads(path.read_bytes())
+        items.append(get_item(plain["kind"], plain["digest"], store))
+    return items
+
+
+def find_item(name: str, store: Store) -> Item:
+    """An item by its name or the beginning of it (`homography-3f`).
+
+    Raises:
+        RequestError: none or several begin like that.
+    """
+    items = all_items(store)
+    hits = [item for item in items if item.name.startswith(name)]
+    if len(hits) == 1:
+        return hits[0]
+    if hits:
+        raise RequestError(f"'{name}' may be {' or '.join(item.name for item in hits)}; give more digits")
+    hint = document.nearest(name, [item.name for item in items])
+    raise RequestError(f"no calibration item '{name}' in {store.root}{hint}")
+
+
+def items_in(folder: Path, store: Store) -> tuple[dict[str, tuple[Item, bytes]], list[str]]:
+    """The items of a capture's calibration folder by kind, and what was passed over.
+
+    Raises:
+        RequestError: an item is wrong, or two are of one kind; every problem is listed.
+    """
+    if not folder.is_dir():
+        raise RequestError(f"{folder} is missing: capture.yaml names it as the folder of calibration items")
+    found: dict[str, tuple[Item, bytes]] = {}
+    warnings: list[str] = []
+    problems: list[str] = []
+    for path in sorted([*folder.glob("*.yaml"), *folder.glob("*.yml")]):
+        try:
+            kind = document.load(path, what="a calibration item").value
+            kind = kind.get("item") if isinstance(kind, dict) else None
+            if isinstance(kind, str) and kind not in KINDS and not document.nearest(kind, KINDS).startswith("; did"):
+                warnings.append(f"{path}: no stage reads a '{kind}' item; passed over")
+                continue
+            item, original = read_item(path, store)
+        except RequestError as error:
+            problems.append(str(error))
+            continue
+        if item.kind in found:
+            problems.append(f"{path} is a second {item.kind} item in this folder; keep one")
+        found[item.kind] = (item, original)
+    if problems:
+        raise RequestError("\n".join(problems))
+    return found, warnings
+
+
+def not_valid_for(item: Item, *, rig: str | None, captured: str | None) -> str | None:
+    """Why an item does not hold for a capture (another rig, measured later than it), or None."""
+    item_rig = item.notes.get("rig")
+    if item_rig and rig and item_rig != rig:
+        return f"it was measured on the rig '{item_rig}', the session is of '{rig}'"
+    valid_from = item.notes.get("valid_from")
+    if valid_from and captured and str(captured)[:10] < str(valid_from)[:10]:
+        return f"it is valid from {valid_from}, the session was captured on {captured}"
+    return None
+
+
+def check_pictures(item: Item, store: Store, *, repair: Callable[[str], None]) -> None:
+    """Read every picture of an item, and report the blob of each damaged one to `repair`."""
+    for picture in item.pictures.values():
+        try:
+            picture.load(store)
+        except DamagedChunk as damage:
+            repair(damage.blob)

@@ -1,0 +1,249 @@
+"""The capture folder, as it comes off a rig: `capture.yaml` beside pictures.
+
+`read_capture` checks the whole description at once; `PictureFile` says for every picture that the
+description promises which file holds it and what it must look like.
+"""
+
+import re
+import string
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from store import document
+from store.errors import RequestError, raise_all
+from store.picture import EXTENSIONS, Picture, PictureError, decode, linear_from_srgb
+
+ILLUMINATION = re.compile(r"C|[XYZ]c?|L[0-9]+|T[0-3]|O")
+SESSION_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
+Polarisation = Literal["parallel", "cross", "unpolarised"]
+POLARISATIONS: tuple[Polarisation, ...] = ("parallel", "cross", "unpolarised")
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, populate_by_name=True)
+
+
+class Mount(_Part):
+    """How a camera is mounted; undone by rotating clockwise, then mirroring left to right."""
+
+    rotate: Literal[0, 90, 180, 270] = Field(0, description="degrees clockwise")
+    mirror: bool = Field(False, description="left to right, after the rotation")
+
+
+class Frame(_Part):
+    """One exposure: every camera and band under one illumination."""
+
+    illumination: str = Field(description="C, X, Y, Z, Xc, Yc, Zc, L and a light number, T0 to T3, or O")
+    time_s: float | None = Field(None, description="seconds since the capture began")
+    file: str | None = Field(None, description="the picture, when the template does not name it")
+
+    @model_validator(mode="after")
+    def _known(self) -> "Frame":
+        if not ILLUMINATION.fullmatch(self.illumination):
+            raise ValueError(
+                f"the illumination '{self.illumination}' is not known; expected C, X, Y, Z, Xc, Yc, Zc, "
+                "L with a light number, T0 to T3, or O"
+            )
+        return self
+
+
+class CaptureFile(_Part):
+    """`capture.yaml`."""
+
+    format: Literal["lightstage-capture/1"] = Field(description="lightstage-capture/1")
+    session: str = Field(description="the session's name")
+    rig: str | None = Field(None, description="which rig")
+    captured: str | None = Field(None, description="date and time, ISO 8601")
+    bits: int = Field(ge=1, le=16, description="significant bits in the integer pictures")
+    frame_rate_hz: float | None = Field(None, gt=0, description="null for a static capture")
+    cameras: dict[Polarisation, str] = Field(description="polarisation: camera")
+    mount: dict[str, Mount] = Field(default_factory=dict, description="camera: rotate, mirror")
+    bands_nm: tuple[float, ...] = Field(min_length=1, description="band centres; [0] for unfiltered light")
+    files: str | None = Field(None, description="template of the pictures' names")
+    frames: tuple[Frame, ...] = Field(min_length=1, description="the exposures in capture order")
+    calibration: str | None = Field(None, description="folder of the items that came with the capture")
+    mask: str | None = Field(None, description="picture that is non-zero where the subject is")
+    target: dict[str, Any] | None = Field(None, description="the calibration target in the picture")
+    encoding: Literal["linear", "srgb"] = "linear"
+    colour: Literal["mono", "rgb"] = "mono"
+    intensities: dict[str, float | tuple[float, ...]] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> "CaptureFile":
+        problems = list(_conflicts(self))
+        if problems:
+            raise ValueError("; ".join(problems))
+        return self
+
+    @property
+    def bits_per_file(self) -> int:
+        """8 or 16: what the files must have."""
+        return 8 if self.bits <= 8 else 16
+
+
+def _conflicts(capture: CaptureFile) -> Iterator[str]:
+    if not SESSION_NAME.fullmatch(capture.session):
+        yield f"the session name '{capture.session}' may hold only letters, digits, dot, dash and underscore"
+    if not capture.cameras:
+        yield "cameras: name at least one of parallel, cross or unpolarised"
+    if "unpolarised" in capture.cameras and len(capture.cameras) > 1:
+        yield "cameras: an unpolarised camera stands alone; a second camera is either parallel or cross"
+    if len(set(capture.cameras.values())) < len(capture.cameras):
+        yield "cameras: one camera cannot have two polarisations"
+    if len(set(capture.bands_nm)) < len(capture.bands_nm):
+        yield "bands_nm: a band stands twice"
+    if capture.colour == "rgb" and len(capture.bands_nm) != 3:
+        yield f"colour: rgb needs three bands_nm, in R, G, B order; there are {len(capture.bands_nm)}"
+    if capture.colour == "rgb" and capture.files and "{band" in capture.files:
+        yield "files: with colour: rgb a file holds all bands, so the template has no {band}"
+    if capture.encoding == "srgb" and capture.bits not in (8, 16):
+        yield f"encoding: srgb is defined for 8 and 16 bits, not {capture.bits}"
+    unnamed = [i for i, frame in enumerate(capture.frames) if frame.file is None]
+    if capture.files is None and unnamed:
+        yield f"'files' is missing, and frame {unnamed[0]} does not name its own picture"
+    for template in {capture.files, *(frame.file for frame in capture.frames)} - {None}:
+        yield from _template_problems(str(template))
+    present = {frame.illumination for frame in capture.frames}
+    for name, value in capture.intensities.items():
+        if name not in present:
+            yield f"intensities: {name} is no illumination of this capture" + document.nearest(name, present)
+        values = value if isinstance(value, tuple) else (value,)
+        if isinstance(value, tuple) and len(value) != len(capture.bands_nm):
+            yield f"intensities: {name} has {len(value)} numbers for {len(capture.bands_nm)} bands"
+        if not all(np.isfinite(v) and v > 0 for v in values):
+            yield f"intensities: {name} must be positive"
+
+
+def _template_problems(template: str) -> Iterator[str]:
+    try:
+        names = [name for _, name, _, _ in string.Formatter().parse(template) if name is not None]
+        template.format(frame=0, illumination="C", band=0, camera="CAM0")
+    except (ValueError, KeyError, IndexError) as error:
+        known = ("frame", "illumination", "band", "camera")
+        if isinstance(error, KeyError):
+            word = str(error.args[0])
+            yield f"files: '{template}' has the unknown part {{{word}}}{document.nearest(word, known)}"
+        else:
+            yield f"files: '{template}' is not a template ({error}); known parts are {', '.join(known)}"
+        return
+    if "" in names:
+        yield f"files: '{template}' has an empty {{}}; known parts are frame, illumination, band, camera"
+    if Path(template).is_absolute() or ".." in Path(template).parts:
+        yield f"files: '{template}' leaves the capture folder"
+
+
+def _band_label(band: float) -> float | int:
+    return int(band) if float(band).is_integer() else band
+
+
+@dataclass(frozen=True)
+class PictureFile:
+    """One file of a capture: where it is and which planes of `raw` it holds."""
+
+    path: Path
+    frame: int
+    polarisation: Polarisation
+    bands: tuple[int, ...]
+    """Indices of the bands that the file holds: one, or all three of a colour file."""
+
+
+@dataclass(frozen=True)
+class Capture:
+    """A checked description and the folder it describes."""
+
+    folder: Path
+    description: CaptureFile
+
+    @property
+    def polarisations(self) -> tuple[Polarisation, ...]:
+        """The polarisations present, in the order of the axis in `raw`."""
+        return tuple(p for p in POLARISATIONS if p in self.description.cameras)
+
+    @property
+    def reference_camera(self) -> str:
+        """The camera whose grid everything is brought to: the cross camera, or the only one."""
+        cameras = self.description.cameras
+        return cameras.get("cross") or next(iter(cameras.values()))
+
+    def pictures(self) -> list[PictureFile]:
+        """Every file that the description promises, in capture order.
+
+        Raises:
+            RequestError: two pictures would come from one file.
+        """
+        d = self.description
+        groups = [tuple(range(3))] if d.colour == "rgb" else [(i,) for i in range(len(d.bands_nm))]
+        found: list[PictureFile] = []
+        seen: dict[Path, str] = {}
+        problems: list[str] = []
+        for i, frame in enumerate(d.frames):
+            template = frame.file or d.files or ""
+            for bands in groups:
+                for polarisation in self.polarisations:
+                    name = template.format(
+                        frame=i,
+                        illumination=frame.illumination,
+                        band=_band_label(d.bands_nm[bands[0]]),
+                        camera=d.cameras[polarisation],
+                    )
+                    path = self.folder / name
+                    label = f"frame {i} ({frame.illumination}), band {d.bands_nm[bands[0]]:g}, {polarisation}"
+                    if path in seen:
+                        problems.append(f"{path} would be both {seen[path]} and {label}")
+                    seen[path] = label
+                    found.append(PictureFile(path, i, polarisation, bands))
+        raise_all(problems[:5])
+        return found
+
+    def extra_pictures(self) -> list[Path]:
+        """Pictures in the folder that the description does not mention."""
+        known = {picture.path for picture in self.pictures()}
+        if self.description.mask:
+            known.add(self.folder / self.description.mask)
+        return sorted(
+            path
+            for path in self.folder.iterdir()
+            if path.is_file() and path.suffix.lower() in EXTENSIONS and path not in known
+        )
+
+    def planes(self, data: bytes) -> Picture:
+        """Decode one of the capture's files into (bands of the file, y, x), uint16, linear.
+
+        Raises:
+            PictureError: it is not the kind of picture that the description declares.
+        """
+        d = self.description
+        picture = decode(data)
+        channels = 1 if picture.ndim == 2 else picture.shape[2]
+        wanted = 3 if d.colour == "rgb" else 1
+        if channels != wanted:
+            raise PictureError(f"has {channels} channel(s); colour: {d.colour} means {wanted}")
+        depth = picture.dtype.itemsize * 8
+        if depth < d.bits_per_file:
+            raise PictureError(f"has {depth} bits a value; bits: {d.bits} needs a 16-bit file")
+        top = int(picture.max(initial=0))
+        if top >= 1 << d.bits:
+            raise PictureError(f"holds the value {top}, more than bits: {d.bits} can ({(1 << d.bits) - 1})")
+        if d.encoding == "srgb":
+            picture = linear_from_srgb(picture)
+        planes = picture[None] if picture.ndim == 2 else np.moveaxis(picture, 2, 0)
+        return np.ascontiguousarray(planes, dtype=np.uint16)
+
+
+def read_capture(folder: Path) -> Capture:
+    """Read and check a capture folder's description (not its pictures).
+
+    Raises:
+        RequestError: it is missing or wrong; every problem is listed.
+    """
+    folder = folder.expanduser()
+    if not folder.is_dir():
+        raise RequestError(f"{folder} is not a folder; expected a capture folder with capture.yaml in it")
+    source = document.load(folder / "capture.yaml", what="the description of the capture")
+    description = document.check(source, CaptureFile)
+    return Capture(folder.resolve(), description)

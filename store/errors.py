@@ -1,0 +1,38 @@
+"""The two ways in which something can fail, each with the exit code that the command returns."""
+
+from collections.abc import Iterable
+
+
+class LightstageError(Exception):
+    """One clear sentence for a person: what was wrong, where, and what would be right."""
+
+    exit_code = 1
+
+
+class WorkError(LightstageError):
+    """The request was right, but the work failed: a full disk, a damaged chunk, a kernel that refused."""
+
+
+class RequestError(LightstageError):
+    """The request was wrong: a missing picture, a typo in YAML, an unknown session."""
+
+    exit_code = 2
+
+
+class DamagedChunk(WorkError):
+    """A stored chunk does not have the content that its name promises."""
+
+    def __init__(self, message: str, blob: str) -> None:
+        super().__init__(message)
+        self.blob = blob
+
+    def __reduce__(self) -> tuple[type, tuple[str, str]]:
+        # a second argument is not in Exception.args, and workers send exceptions pickled
+        return (DamagedChunk, (str(self), self.blob))
+
+
+def raise_all(problems: Iterable[str]) -> None:
+    """Raise one RequestError that lists every problem, or return when there is none."""
+    lines = list(problems)
+    if lines:
+        raise RequestError("\n".join(lines))

@@ -1,0 +1,150 @@
+"""Files that are there whole or not at all.
+
+Everything is first written under the store's `tmp/` (one folder a process) and then renamed or linked into
+place. After a kill, what is left lies in `tmp/` and is swept when the next process opens the store.
+"""
+
+import contextlib
+import errno
+import itertools
+import os
+import shutil
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+
+from store.errors import WorkError
+
+_counter = itertools.count()
+
+
+class Scratch:
+    """The store's `tmp/`: a folder of its own for this process, and a sweep of what dead ones left."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def path(self) -> Path:
+        """A new path, unique over threads, processes and hosts."""
+        mine = self.folder / f"{socket.gethostname()}-{os.getpid()}"
+        if not mine.is_dir():
+            mine.mkdir(parents=True, exist_ok=True)
+        return mine / str(next(_counter))
+
+    def sweep(self) -> None:
+        """Delete what processes of this host that no longer run have left behind."""
+        host = socket.gethostname()
+        try:
+            names = os.listdir(self.folder)
+        except FileNotFoundError:
+            return
+        for name in names:
+            owner, _, pid = name.rpartition("-")
+            if owner == host and pid.isdigit() and int(pid) != os.getpid() and not _alive(int(pid)):
+                shutil.rmtree(self.folder / name, ignore_errors=True)
+
+    def leave(self) -> None:
+        """Delete this process's own folder."""
+        shutil.rmtree(self.folder / f"{socket.gethostname()}-{os.getpid()}", ignore_errors=True)
+
+
+def _alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True
+
+
+@contextlib.contextmanager
+def full_disk_is_named(path: Path) -> Iterator[None]:
+    """Turn "no space left" and "read-only" into a sentence that says which disk and what to do."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            raise WorkError(
+                f"the disk that holds {path} is full: nothing was lost, but the work cannot go on; "
+                "free some space (`lightstage gc --dry-run` shows what the store could give) and run again"
+            ) from error
+        if error.errno in (errno.EROFS, errno.EACCES, errno.EPERM):
+            raise WorkError(f"{path} cannot be written ({error.strerror}); choose another --store") from error
+        raise
+
+
+def write_durable(path: Path, data: bytes | memoryview) -> None:
+    """Write and flush to the disk. `path` should lie in scratch."""
+    with full_disk_is_named(path), open(path, "wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def replace(scratch: Scratch, path: Path, data: bytes) -> None:
+    """Put `data` at `path`, in place of what stood there, in one step."""
+    with full_disk_is_named(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary = scratch.path()
+        write_durable(temporary, data)
+        os.replace(temporary, path)
+
+
+def put_if_absent(scratch: Scratch, path: Path, data: bytes | memoryview) -> bool:
+    """Put `data` at `path` unless something is there already; says whether it did."""
+    with full_disk_is_named(path):
+        temporary = scratch.path()
+        write_durable(temporary, data)
+        try:
+            _link_new(temporary, path)
+        except FileExistsError:
+            return False
+        finally:
+            temporary.unlink(missing_ok=True)
+        return True
+
+
+def _link_new(source: Path, target: Path) -> None:
+    try:
+        os.link(source, target)
+    except FileNotFoundError:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        os.link(source, target)
+    except OSError as error:
+        if error.errno not in (errno.EPERM, errno.ENOTSUP, errno.EXDEV, errno.EMLINK):
+            raise
+        # a file system without hard links: an exclusive reservation keeps "if absent" true
+        if target.exists():
+            raise FileExistsError(target) from error
+        target.parent.mkdir(parents=True, exist_ok=True)
+        os.replace(source, target)
+
+
+def link_or_copy(source: Path, target: Path) -> None:
+    """A second name for a file, or a copy where the file system cannot link."""
+    try:
+        os.link(source, target)
+    except FileNotFoundError:
+        raise
+    except FileExistsError:
+        raise
+    except OSError as error:
+        if error.errno not in (errno.EPERM, errno.ENOTSUP, errno.EXDEV, errno.EMLINK):
+            raise
+        with full_disk_is_named(target):
+            shutil.copyfile(source, target)
+
+
+def folder_size(folder: Path) -> int:
+    """Bytes in all files below a folder."""
+    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+
+
+def human_size(count: float) -> str:
+    """Bytes as a person reads them: 1.5 GB, in powers of 1000."""
+    for unit in ("B", "kB", "MB", "GB"):
+        if abs(count) < 1000:
+            return f"{count:.0f} {unit}" if unit == "B" else f"{count:.1f} {unit}"
+        count /= 1000
+    return f"{count:.1f} TB"

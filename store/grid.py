@@ -1,0 +1,127 @@
+"""The zarr v3 groups that anyone can open with xarray: metadata by zarr, chunks by hard link.
+
+The only module that imports zarr. It writes metadata and small coordinates; pixels are stored chunks
+already, encoded by `store.chunks` just as these arrays declare, and are linked into place.
+"""
+
+import os
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from store.chunks import ChunkRef, Chunks, shuffle_for
+from store.files import link_or_copy
+
+ChunkIndex = tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class ArrayTemplate:
+    """One array of a group. `attrs` may hold `scale_factor` (CF), and then `_FillValue` stands for NaN."""
+
+    dims: tuple[str, ...]
+    shape: tuple[int, ...]
+    chunk: tuple[int, ...]
+    dtype: str
+    attrs: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def fill(self) -> Any:
+        """What a chunk that was not computed reads as."""
+        if "_FillValue" in self.attrs:
+            return self.attrs["_FillValue"]
+        return {"f": float("nan"), "b": False}.get(_kind(self.dtype), 0)
+
+    def grid(self) -> tuple[int, ...]:
+        """Number of chunks along each dimension."""
+        return tuple(-(-size // step) for size, step in zip(self.shape, self.chunk, strict=True))
+
+
+@dataclass(frozen=True)
+class Coordinate:
+    """Labels along one or more dimensions: text, integers or numbers."""
+
+    dims: tuple[str, ...]
+    values: Any
+    attrs: Mapping[str, Any] = field(default_factory=dict)
+
+
+def _kind(dtype: str) -> str:
+    import numpy as np
+
+    return np.dtype(dtype).kind
+
+
+def write_group(
+    folder: Path,
+    *,
+    arrays: Mapping[str, ArrayTemplate],
+    coordinates: Mapping[str, Coordinate],
+    attrs: Mapping[str, Any],
+    chunks: Mapping[str, Mapping[ChunkIndex, ChunkRef]],
+    source: Chunks,
+) -> None:
+    """Write a whole group into a folder that does not exist yet (in scratch: the caller renames it).
+
+    `chunks` gives, per array, the chunks that exist by their place in the chunk grid; a missing one reads as
+    the array's fill value.
+    """
+    import numpy as np
+    import zarr
+    from zarr.codecs import BloscCodec
+
+    secondary = [name for name, coordinate in coordinates.items() if coordinate.dims != (name,)]
+    group_attrs = {**attrs, **({"coordinates": " ".join(secondary)} if secondary else {})}
+    group = zarr.create_group(folder, zarr_format=3, attributes=group_attrs)
+    for name, array in arrays.items():
+        group.create_array(
+            name,
+            shape=array.shape,
+            chunks=array.chunk,
+            dtype=array.dtype,
+            fill_value=array.fill,
+            dimension_names=array.dims,
+            compressors=BloscCodec(cname="lz4", clevel=1, shuffle=shuffle_for(array.chunk)),
+            attributes=dict(array.attrs),
+        )
+        made: set[str] = set()
+        for index, ref in chunks[name].items():
+            target = os.path.join(folder, name, "c", *map(str, index))
+            parent = os.path.dirname(target)
+            if parent not in made:
+                os.makedirs(parent, exist_ok=True)
+                made.add(parent)
+            link_or_copy(source.path(ref.blob), Path(target))
+    for name, coordinate in coordinates.items():
+        values = np.asarray(coordinate.values)
+        text = values.dtype.kind in "UO"
+        array_ = group.create_array(
+            name,
+            shape=values.shape,
+            dtype="str" if text else values.dtype,
+            dimension_names=coordinate.dims,
+            attributes=dict(coordinate.attrs),
+            **({} if text else {"fill_value": values.dtype.type(0)}),
+        )
+        array_[...] = values.astype(object) if text else values
+    with warnings.catch_warnings():
+        # xarray warns without consolidated metadata, zarr with it: version 3 of the format leaves it open
+        warnings.simplefilter("ignore")
+        zarr.consolidate_metadata(folder)
+
+
+def chunk_names(folder: Path, array: str) -> Sequence[Path]:
+    """The chunk files of an array."""
+    return sorted(path for path in (folder / array / "c").rglob("*") if path.is_file())
+
+
+def open_dataset(folder: Path) -> Any:
+    """A group as an xarray dataset, decoded (integers with a scale become floats, fill becomes NaN), unchunked.
+
+    Small helper for export and pictures; users call `xarray.open_zarr` themselves.
+    """
+    import xarray
+
+    return xarray.open_zarr(folder, chunks=None)

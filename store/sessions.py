@@ -1,0 +1,529 @@
+"""Sessions: captures brought into the store.
+
+    sessions/<session>/session.json   what the session is: its facts, its pictures by content, its items
+    sessions/<session>/raw.zarr/      the pictures as anyone can open them
+
+`session.json` is the truth and is replaced in one step; the pictures themselves are stored chunks. The group
+`raw.zarr` is a link to the newest of the folders `.raw-<digest>.zarr` beside it, made of hard links to those
+chunks, so that a run that is reading the old version is not disturbed by an import.
+"""
+
+import datetime
+import json
+import os
+import shutil
+from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace as changed
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from store import document, files
+from store.calibration import Item, StoredPicture, get_item, items_in, put_item
+from store.capture import SESSION_NAME, Capture, PictureFile, read_capture
+from store.chunks import ChunkRef
+from store.digest import SHORT, digest_bytes, digest_value
+from store.errors import RequestError, raise_all
+from store.files import full_disk_is_named
+from store.grid import ArrayTemplate, Coordinate, write_group
+from store.picture import Picture, PictureError, decode, read_file
+from store.root import Store
+
+FORMAT = "lightstage-session/1"
+Progress = Callable[[Iterable[Any], int, str], Iterable[Any]]
+
+
+@dataclass(frozen=True)
+class Session:
+    """An imported capture."""
+
+    name: str
+    facts: Mapping[str, Any]
+    """What the capture says of itself: cameras, mount, white_level, bands_nm, illumination, ..."""
+    shape: tuple[int, int]
+    images: tuple[tuple[tuple[ChunkRef, ...], ...], ...]
+    """By frame, band, polarisation."""
+    mask: StoredPicture | None
+    items: Mapping[str, str]
+    """Bound calibration items: kind to digest."""
+    source: Mapping[str, Any]
+    """Folder, and per file the digest of its bytes and the planes it holds."""
+    verdict: tuple[Mapping[str, Any], ...]
+    digest: str
+
+    @property
+    def polarisations(self) -> tuple[str, ...]:
+        """In the order of the axis."""
+        return tuple(self.facts["polarisation"])
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Length of every dimension of `raw`."""
+        height, width = self.shape
+        lengths = (len(self.images), len(self.facts["bands_nm"]), len(self.polarisations), height, width)
+        return dict(zip(("frame", "band", "polarisation", "y", "x"), lengths, strict=True))
+
+    def refs(self) -> Iterable[ChunkRef]:
+        """Every stored picture."""
+        for frame in self.images:
+            for band in frame:
+                yield from band
+        if self.mask is not None:
+            yield self.mask.chunk
+
+    @property
+    def size(self) -> int:
+        """Stored bytes of the pictures."""
+        return sum(ref.size for ref in self.refs())
+
+
+def session_names(store: Store) -> list[str]:
+    """The sessions in the store."""
+    return sorted(path.parent.name for path in store.sessions.glob("*/session.json"))
+
+
+def read_session(name: str, store: Store) -> Session:
+    """A session by name.
+
+    Raises:
+        RequestError: there is none of that name.
+    """
+    path = store.sessions / name / "session.json"
+    try:
+        data = path.read_bytes()
+    except (FileNotFoundError, NotADirectoryError):
+        known = session_names(store)
+        hint = document.nearest(name, known) or "; it holds none yet (`lightstage import FOLDER` brings one in)"
+        raise RequestError(f"no session '{name}' in the store {store.root}{hint}") from None
+    return _from_plain(json.loads(data), digest_bytes(data))
+
+
+def _from_plain(plain: Mapping[str, Any], digest: str) -> Session:
+    images = tuple(
+        tuple(tuple(ChunkRef.from_plain(ref) for ref in band) for band in frame) for frame in plain["images"]
+    )
+    return Session(
+        name=plain["session"],
+        facts=plain["facts"],
+        shape=(plain["shape"][0], plain["shape"][1]),
+        images=images,
+        mask=None if plain["mask"] is None else StoredPicture.from_plain(plain["mask"]),
+        items=plain["items"],
+        source=plain["source"],
+        verdict=tuple(plain["verdict"]),
+        digest=digest,
+    )
+
+
+def _as_plain(session: Session) -> dict[str, Any]:
+    return {
+        "format": FORMAT,
+        "session": session.name,
+        "facts": dict(session.facts),
+        "shape": list(session.shape),
+        "images": [[[ref.as_plain() for ref in band] for band in frame] for frame in session.images],
+        "mask": None if session.mask is None else session.mask.as_plain(),
+        "items": dict(session.items),
+        "source": dict(session.source),
+        "verdict": [dict(row) for row in session.verdict],
+    }
+
+
+@dataclass(frozen=True)
+class Imported:
+    """What an import did."""
+
+    session: Session
+    changes: tuple[str, ...]
+    """One line each; empty when everything was there already."""
+    warnings: tuple[str, ...]
+    new: bool
+
+
+@dataclass(frozen=True)
+class _ReadPicture:
+    file: PictureFile
+    digest: str
+    refs: tuple[ChunkRef, ...] | None
+    shape: tuple[int, int] | None
+    problem: str | None = None
+
+
+def import_capture(folder: Path, store: Store, *, name: str | None = None, progress: Progress | None = None) -> Imported:
+    """Bring a capture folder into the store, or update the session that came from it.
+
+    Everything is read and checked before the session appears or changes. Unchanged files (by their bytes) are
+    not decoded again.
+
+    Raises:
+        RequestError: anything in the folder is wrong; every problem is listed.
+    """
+    capture = read_capture(folder)
+    session_name = name or capture.description.session
+    if not SESSION_NAME.fullmatch(session_name):
+        raise RequestError(f"--session {session_name}: only letters, digits, dot, dash and underscore can be in a name")
+    before = read_session(session_name, store) if session_name in session_names(store) else None
+    lost = 0 if before is None else sum(not _intact([ref], store) for ref in before.refs())
+    pictures = capture.pictures()
+    warnings = [f"{path} is not mentioned in capture.yaml; passed over" for path in capture.extra_pictures()]
+
+    read = _read_pictures(capture, pictures, store, before, progress)
+    shape = _one_shape(read)
+    raise_all(result.problem for result in read if result.problem is not None)
+    mask, mask_file = _read_mask(capture, shape, store)
+    items: dict[str, tuple[Item, bytes]] = {}
+    if capture.description.calibration is not None:
+        items, more = items_in(capture.folder / capture.description.calibration, store)
+        warnings += more
+
+    facts = _facts(capture)
+    images = _arrange(read, facts)
+    for item, original in items.values():
+        put_item(item, original, store)
+    bound = dict(before.items) if before is not None else {}
+    bound |= {kind: item.digest for kind, (item, _) in items.items()}
+    source = {
+        "folder": str(capture.folder),
+        "files": {
+            result.file.path.relative_to(capture.folder).as_posix(): {
+                "digest": result.digest,
+                "frame": result.file.frame,
+                "bands": list(result.file.bands),
+                "polarisation": result.file.polarisation,
+            }
+            for result in read
+        },
+        "mask": mask_file,
+    }
+    session = Session(session_name, facts, shape, images, mask, bound, source, (), "")
+    changes = _changes(before, session)
+    if before is not None and not changes:
+        if before.source["folder"] != source["folder"]:  # the archive has moved: nothing of it has changed
+            before = _commit(changed(before, source=source), store)
+        show_raw(before, store, anew=lost > 0)
+        restored = (f"{lost} damaged or lost picture(s) were restored",) if lost else ()
+        return Imported(before, restored, tuple(warnings), new=False)
+    session = changed(session, verdict=tuple(_verdict(session, store)))
+    if before is not None and before.source["folder"] != source["folder"]:
+        warnings.append(f"session '{session_name}' came from {before.source['folder']} before")
+    session = _commit(session, store)
+    return Imported(session, tuple(changes), tuple(warnings), new=before is None)
+
+
+def _facts(capture: Capture) -> dict[str, Any]:
+    d = capture.description
+    bits = 16 if d.encoding == "srgb" else d.bits
+    return {
+        "rig": d.rig,
+        "captured": d.captured,
+        "bits": bits,
+        "white_level": (1 << bits) - 1,
+        "frame_rate_hz": d.frame_rate_hz,
+        "cameras": dict(d.cameras),
+        "polarisation": list(capture.polarisations),
+        "mount": {camera: mount.model_dump() for camera, mount in d.mount.items()},
+        "bands_nm": list(d.bands_nm),
+        "colour": d.colour,
+        "encoding": d.encoding,
+        "illumination": [frame.illumination for frame in d.frames],
+        "time_s": [frame.time_s for frame in d.frames],
+        "intensities": {
+            k: [float(v)] * len(d.bands_nm) if isinstance(v, int | float) else [float(x) for x in v]
+            for k, v in d.intensities.items()
+        },
+        "target": d.target,
+    }
+
+
+def _read_pictures(
+    capture: Capture, pictures: list[PictureFile], store: Store, before: Session | None, progress: Progress | None
+) -> list[_ReadPicture]:
+    known: dict[tuple[str, int, str, tuple[int, ...]], tuple[ChunkRef, ...]] = {}
+    same_decoding = before is not None and all(
+        before.facts[key] == _facts(capture)[key] for key in ("bits", "encoding", "colour")
+    )
+    if before is not None and same_decoding:
+        axis = {p: i for i, p in enumerate(before.polarisations)}
+        for file in before.source["files"].values():
+            refs = tuple(before.images[file["frame"]][b][axis[file["polarisation"]]] for b in file["bands"])
+            if _intact(refs, store):
+                known[file["digest"], file["frame"], file["polarisation"], tuple(file["bands"])] = refs
+
+    def read(picture: PictureFile) -> _ReadPicture:
+        try:
+            data, _ = read_file(picture.path)
+            digest = digest_bytes(data)
+            refs = known.get((digest, picture.frame, picture.polarisation, picture.bands))
+            if refs is not None and before is not None:
+                return _ReadPicture(picture, digest, refs, before.shape)
+            planes = capture.planes(data)
+        except PictureError as error:
+            return _ReadPicture(picture, "", None, None, f"{picture.path} {error}")
+        refs = tuple(store.chunks.put(np.ascontiguousarray(plane)[None, None, None]) for plane in planes)
+        return _ReadPicture(picture, digest, refs, (planes.shape[1], planes.shape[2]))
+
+    with ThreadPoolExecutor(max_workers=len(os.sched_getaffinity(0))) as pool:
+        results = pool.map(read, pictures)
+        return list(progress(results, len(pictures), "pictures") if progress else results)
+
+
+def _intact(refs: Iterable[ChunkRef], store: Store) -> bool:
+    """Whether stored pictures still have their digest; a damaged one makes way, so that it is stored again."""
+    good = True
+    for ref in refs:
+        path = store.chunks.path(ref.blob)
+        if not store.chunks.has(ref) or digest_bytes(path.read_bytes()) != ref.blob:
+            path.unlink(missing_ok=True)
+            good = False
+    return good
+
+
+def _one_shape(read: list[_ReadPicture]) -> tuple[int, int]:
+    shapes = [result.shape for result in read if result.shape is not None]
+    problems = [result.problem for result in read if result.problem is not None]
+    if shapes:
+        usual = max(set(shapes), key=shapes.count)
+        problems += [
+            f"{r.file.path} is {r.shape[1]} x {r.shape[0]}; the other pictures are {usual[1]} x {usual[0]}"
+            for r in read
+            if r.shape is not None and r.shape != usual
+        ]
+    if len(problems) > 20:
+        problems[20:] = [f"... and {len(problems) - 20} more pictures like these"]
+    raise_all(problems)
+    return usual
+
+
+def _read_mask(capture: Capture, shape: tuple[int, int], store: Store) -> tuple[StoredPicture | None, Any]:
+    if capture.description.mask is None:
+        return None, None
+    path = capture.folder / capture.description.mask
+    try:
+        data, _ = read_file(path)
+        picture: Picture = decode(data)
+    except PictureError as error:
+        raise RequestError(f"{path} {error}; capture.yaml names it as the mask") from None
+    if picture.ndim == 3:
+        picture = picture.max(axis=2)
+    if picture.shape != shape:
+        raise RequestError(
+            f"{path} is {picture.shape[1]} x {picture.shape[0]}; the mask must be as large as the pictures, "
+            f"{shape[1]} x {shape[0]}"
+        )
+    mask = np.ascontiguousarray(picture > 0)
+    stored = StoredPicture(store.chunks.put(mask), mask.dtype.str, mask.shape)
+    return stored, {"name": capture.description.mask, "digest": digest_bytes(data)}
+
+
+def _arrange(read: list[_ReadPicture], facts: Mapping[str, Any]) -> tuple[tuple[tuple[ChunkRef, ...], ...], ...]:
+    place: dict[tuple[int, int, str], ChunkRef] = {}
+    for result in read:
+        for band, ref in zip(result.file.bands, result.refs or (), strict=True):
+            place[result.file.frame, band, result.file.polarisation] = ref
+    return tuple(
+        tuple(
+            tuple(place[frame, band, polarisation] for polarisation in facts["polarisation"])
+            for band in range(len(facts["bands_nm"]))
+        )
+        for frame in range(len(facts["illumination"]))
+    )
+
+
+def _changes(before: Session | None, after: Session) -> list[str]:
+    if before is None:
+        return [f"session '{after.name}' is new"]
+    changes = []
+    for key, value in after.facts.items():
+        if before.facts.get(key) != value:
+            shown = f"{before.facts.get(key)} -> {value}"
+            changes.append(f"{key} changed" + (f": {shown}" if len(shown) < 120 else ""))
+    old_files = {_plane(f): f["digest"] for f in before.source["files"].values()}
+    for file_name, file in after.source["files"].items():
+        old = old_files.get(_plane(file))
+        if old is None:
+            changes.append(f"picture {file_name} is new")
+        elif old != file["digest"] and _refs_of(before, file) != _refs_of(after, file):
+            changes.append(f"picture {file_name} changed")
+    dropped = len(set(old_files) - {_plane(f) for f in after.source["files"].values()})
+    if dropped:
+        changes.append(f"{dropped} picture(s) are gone")
+    if (before.mask and before.mask.chunk.value) != (after.mask and after.mask.chunk.value):
+        changes.append("the mask changed")
+    for kind, digest in after.items.items():
+        old = before.items.get(kind)
+        if old != digest:
+            changes.append(f"calibration item {kind} " + ("is new" if old is None else "changed"))
+    return changes
+
+
+def _plane(file: Mapping[str, Any]) -> tuple[Any, ...]:
+    return (file["frame"], file["polarisation"], tuple(file["bands"]))
+
+
+def _refs_of(session: Session, file: Mapping[str, Any]) -> list[str]:
+    axis = session.polarisations.index(file["polarisation"])
+    return [session.images[file["frame"]][band][axis].value for band in file["bands"]]
+
+
+def bind_item(session: Session, item: Item, store: Store) -> Session:
+    """Use another calibration item for a session from now on."""
+    return _commit(changed(session, items={**session.items, item.kind: item.digest}), store)
+
+
+def remove_session(name: str, store: Store) -> int:
+    """Take a session and its results out of the store; returns the bytes of its folders.
+
+    Its chunks stay until `gc`, so that an import of the same capture costs little.
+    """
+    read_session(name, store)
+    total = 0
+    for folder in (store.sessions / name, store.results / name):
+        if folder.exists():
+            total += files.folder_size(folder)
+            # rename first: what is half removed must not be taken for a session
+            doomed = store.scratch.path()
+            os.rename(folder, doomed)
+            shutil.rmtree(doomed)
+    return total
+
+
+def _commit(session: Session, store: Store) -> Session:
+    data = json.dumps(_as_plain(session), separators=(",", ":")).encode()
+    session = changed(session, digest=digest_bytes(data))
+    _write_raw(session, store)
+    files.replace(store.scratch, store.sessions / session.name / "session.json", data)
+    show_raw(session, store)
+    return session
+
+
+def _raw_folder(session: Session) -> str:
+    content = {
+        "facts": session.facts,
+        "images": [[[ref.blob for ref in band] for band in frame] for frame in session.images],
+        "mask": session.mask and session.mask.chunk.blob,
+    }
+    return f".raw-{digest_value(content)[:SHORT]}.zarr"
+
+
+def _write_raw(session: Session, store: Store) -> None:
+    target = store.sessions / session.name / _raw_folder(session)
+    if target.is_dir():
+        return
+    sizes, facts = session.sizes, session.facts
+    dims = tuple(sizes)
+    shape = tuple(sizes.values())
+    arrays = {"raw": ArrayTemplate(dims, shape, (1, 1, 1, *session.shape), "uint16", {"units": "counts"})}
+    chunks = {
+        "raw": {
+            (f, b, p, 0, 0): ref
+            for f, frame in enumerate(session.images)
+            for b, band in enumerate(frame)
+            for p, ref in enumerate(band)
+        }
+    }
+    if session.mask is not None:
+        arrays["mask"] = ArrayTemplate(("y", "x"), session.shape, session.shape, "bool")
+        chunks["mask"] = {(0, 0): session.mask.chunk}
+    hidden = ("illumination", "time_s", "polarisation", "bands_nm")
+    temporary = store.scratch.path()
+    with full_disk_is_named(target):
+        write_group(
+            temporary,
+            arrays=arrays,
+            coordinates=raw_coordinates(session),
+            attrs={"session": session.name, **{k: v for k, v in facts.items() if k not in hidden and v is not None}},
+            chunks=chunks,
+            source=store.chunks,
+        )
+        target.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            os.rename(temporary, target)
+        except OSError:
+            if not target.is_dir():  # another import has made the same folder
+                raise
+            shutil.rmtree(temporary)
+
+
+def raw_coordinates(session: Session) -> dict[str, Coordinate]:
+    """The labels of `raw`."""
+    facts = session.facts
+    times = [np.nan if t is None else float(t) for t in facts["time_s"]]
+    return {
+        "illumination": Coordinate(("frame",), facts["illumination"]),
+        "time_s": Coordinate(("frame",), times, {"units": "s"}),
+        "band": Coordinate(("band",), [float(b) for b in facts["bands_nm"]], {"units": "nm"}),
+        "polarisation": Coordinate(("polarisation",), facts["polarisation"]),
+    }
+
+
+def show_raw(session: Session, store: Store, *, anew: bool = False) -> None:
+    """Let `raw.zarr` name the session's present version, also after a kill between the two steps of a commit."""
+    link = store.sessions / session.name / "raw.zarr"
+    wanted = _raw_folder(session)
+    if anew:
+        shutil.rmtree(link.parent / wanted, ignore_errors=True)
+    elif link.is_symlink() and os.readlink(link) == wanted and link.is_dir():
+        return
+    _write_raw(session, store)
+    temporary = store.scratch.path()
+    os.symlink(wanted, temporary)
+    os.replace(temporary, link)
+
+
+def _verdict(session: Session, store: Store) -> Iterable[dict[str, Any]]:
+    """One row an illumination, band and camera: is this capture any good?
+
+    saturated: fraction of pixels at the white level. underexposed: fraction below 2 % of the range above the
+    dark. complement_residual: median of |a + a' - c| / c where c is bright, for gradients whose complement
+    and constant image are there. Repeated illuminations count together (worst fraction, first residual).
+    """
+    facts, white = session.facts, session.facts["white_level"]
+    dark = _mean_dark(session, store)
+    frames: dict[str, list[int]] = {}
+    for i, illumination in enumerate(facts["illumination"]):
+        frames.setdefault(illumination, []).append(i)
+
+    def load(frame: int, band: int, polarisation: int) -> Picture:
+        ref = session.images[frame][band][polarisation]
+        return store.chunks.get(ref, dtype="<u2", shape=session.shape)
+
+    for b, band_nm in enumerate(facts["bands_nm"]):
+        for p, polarisation in enumerate(session.polarisations):
+            offset = dark.get(polarisation, 0.0)
+            for illumination, indices in frames.items():
+                saturated = under = 0.0
+                for i in indices:
+                    picture = load(i, b, p)
+                    saturated = max(saturated, float(np.mean(picture >= white)))
+                    under = max(under, float(np.mean(picture < offset + 0.02 * (white - offset))))
+                residual = None
+                opposite = illumination[0] + ("" if illumination.endswith("c") else "c")
+                if illumination[0] in "XYZ" and opposite in frames and "C" in frames:
+                    first = _nearest(indices[0], frames[opposite])
+                    constant = load(_nearest(indices[0], frames["C"]), b, p) - offset
+                    total = load(indices[0], b, p) + load(first, b, p).astype(np.float64) - 2 * offset
+                    bright = constant > 0.1 * np.percentile(constant, 99)
+                    if bright.any():
+                        residual = float(np.median(np.abs(total - constant)[bright] / constant[bright]))
+                yield {
+                    "band_nm": band_nm,
+                    "polarisation": polarisation,
+                    "illumination": illumination,
+                    "saturated": saturated,
+                    "underexposed": under,
+                    "complement_residual": residual,
+                }
+
+
+def _nearest(frame: int, candidates: list[int]) -> int:
+    return min(candidates, key=lambda i: abs(i - frame))
+
+
+def _mean_dark(session: Session, store: Store) -> dict[str, float]:
+    if "dark" not in session.items:
+        return {}
+    item = get_item("dark", session.items["dark"], store)
+    means = {camera: float(np.mean(p.load(store))) / item.values["scale"] for camera, p in item.pictures.items()}
+    return {p: means[camera] for p, camera in session.facts["cameras"].items() if camera in means}
