@@ -1,7 +1,82 @@
-"""demo."""
+"""demo: the virtual rig as a capture, imported with its ground truth beside it."""
 
+import argparse
+import re
 from typing import Any
+
+from cli.show import Screen
+from store.errors import RequestError
+from store.files import link_or_copy
+from store.root import Store
 
 
 def configure(commands: Any) -> None:
     """Add the commands of this file."""
+    demo = commands.add_parser("demo", help="capture a head with the virtual rig, and import it")
+    demo.add_argument("--session", default="demo", metavar="NAME")
+    demo.add_argument("--size", default="406x309", metavar="WxH", help="pixels (default: 406x309)")
+    demo.add_argument(
+        "--bands",
+        default="407,434,445,497,576,655",
+        metavar="NM,...",
+        help="wavelengths; 0 for unfiltered light",
+    )
+    demo.add_argument(
+        "--seed", type=int, default=1, metavar="N", help="another head, skin, rig and noise; 0: the mean"
+    )
+    demo.set_defaults(handler=handle_demo)
+
+
+def handle_demo(options: argparse.Namespace, screen: Screen) -> int:
+    """lightstage demo."""
+    store = Store(options.store)
+    size = re.fullmatch(r"([0-9]+)x([0-9]+)", options.size)
+    if not size:
+        raise RequestError(f"--size {options.size}: expected WIDTHxHEIGHT, such as 406x309")
+    if not re.fullmatch(r"[0-9]+(,[0-9]+)*", options.bands):
+        raise RequestError(f"--bands {options.bands}: expected wavelengths in nm, such as 434,576")
+    bands = tuple(int(band) for band in options.bands.split(","))
+    name = demo_session(
+        store,
+        screen,
+        name=options.session,
+        width=int(size[1]),
+        height=int(size[2]),
+        bands_nm=bands,
+        seed=options.seed,
+    )
+    folder = store.sessions / name
+    screen.document({"session": name, "raw": str(folder / "raw.zarr"), "truth": str(folder / "truth")})
+    return 0
+
+
+def demo_session(store: Store, screen: Screen, *, name: str = "demo", **shot: Any) -> str:
+    """Capture with the virtual rig unless the same capture is there, import it, and return the session's name."""
+    from cli.sessions import import_folder
+    from hw.errors import RigError
+    from hw.virtual_rig import Shot, capture
+    from store.digest import SHORT, digest_value
+
+    try:
+        wanted = Shot(session=name, **shot)
+        folder = store.root / "captures" / f"{name}-{digest_value(_options(wanted))[:SHORT]}"
+        if not folder.is_dir():
+            screen.say(
+                f"the virtual rig captures {len(wanted.sequence)} illuminations in {len(wanted.bands_nm)} band(s)"
+            )
+        capture(wanted, folder)
+    except RigError as error:
+        raise RequestError(str(error)) from None
+    import_folder(folder, store, screen)
+    truth = store.sessions / name / "truth"
+    truth.mkdir(exist_ok=True)
+    for path in (folder / "truth").iterdir():
+        (truth / path.name).unlink(missing_ok=True)
+        link_or_copy(path, truth / path.name)
+    return name
+
+
+def _options(shot: Any) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    return {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(shot).items()}

@@ -1,7 +1,178 @@
-"""export."""
+"""export: a node's pictures as PNG, EXR or NPY, for tools that do not read zarr.
 
-from typing import Any
+Normals are exported as maps. The convention says where green points: OpenGL up, DirectX down. 8 bits are for
+looking; EXR holds float channels, with convention, frame and units in its header.
+"""
+
+import argparse
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cli.show import Screen
+from store.errors import WorkError
+from store.root import Store
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+FORMATS = ("png8", "png16", "exr", "npy")
+CONVENTIONS = {"opengl": "green = up (OpenGL)", "directx": "green = down (DirectX)"}
+FRAME = "world: right-handed, x right, y up, z towards the camera"
 
 
 def configure(commands: Any) -> None:
     """Add the commands of this file."""
+    export = commands.add_parser("export", help="write a node's pictures as PNG, EXR or NPY")
+    export.add_argument("node", metavar="NODE")
+    export.add_argument("--session", required=True, metavar="S")
+    export.add_argument("--to", required=True, type=Path, metavar="DIR")
+    export.add_argument("--format", required=True, choices=FORMATS)
+    export.add_argument("--convention", choices=tuple(CONVENTIONS), default="opengl", help="where green points")
+    export.set_defaults(handler=handle_export)
+
+
+@dataclass(frozen=True)
+class Plane:
+    """One picture of a result."""
+
+    name: str
+    """File name without extension: array, and the labels of everything that is not in the picture."""
+    kind: str
+    """normal, mask or scalar."""
+    values: "NDArray[np.generic]"
+    """(y, x, xyz) for normals, (y, x) otherwise."""
+    attrs: dict[str, Any]
+    full_scale: float
+    """What white is in the integer formats: the array's 99.9th percentile, the same for all its pictures."""
+
+
+def handle_export(options: argparse.Namespace, screen: Screen) -> int:
+    """lightstage export."""
+    from store.grid import open_dataset
+    from store.results import current_path
+    from store.sessions import read_session
+
+    store = Store(options.store, create=False)
+    session = read_session(options.session, store)
+    if options.node == "capture":
+        path = store.sessions / session.name / "raw.zarr"
+    else:
+        path = current_path(session.name, options.node, store)
+    dataset = open_dataset(path)
+    options.to.mkdir(parents=True, exist_ok=True)
+    written = []
+    count = sum(
+        int(a.size // (a.sizes["y"] * a.sizes["x"] * a.sizes.get("xyz", 1))) for a in dataset.data_vars.values()
+    )
+    for plane in screen.progress(planes(dataset), count, "pictures"):
+        header = {
+            **{k: v for k, v in dataset.attrs.items() if isinstance(v, str | int | float)},
+            **plane.attrs,
+        }
+        file = options.to / f"{plane.name}.{options.format.rstrip('0123456789')}"
+        _write(file, plane, options.format, options.convention, header)
+        written.append(str(file))
+    screen.say(f"{len(written)} pictures of {options.node} ({session.name}) in {options.to}")
+    screen.document({"files": written, "convention": options.convention, "format": options.format})
+    return 0
+
+
+def planes(dataset: Any) -> Iterator[Plane]:
+    """Every picture of a dataset."""
+    import itertools
+
+    import numpy as np
+
+    for name, array in dataset.data_vars.items():
+        inner = [dim for dim in ("xyz", "y", "x") if dim in array.dims]
+        outer = [dim for dim in array.dims if dim not in inner]
+        normal = "xyz" in inner
+        kind = "normal" if normal else "mask" if array.dtype == bool else "scalar"
+        scale = 1.0
+        if kind == "scalar":
+            sample = array.values[..., ::4, ::4].astype(np.float32)
+            sample = sample[np.isfinite(sample)]
+            top = float(np.percentile(sample, 99.9)) if sample.size else 1.0
+            scale = top if top > 0 else 1.0
+        for index in itertools.product(*(range(array.sizes[dim]) for dim in outer)):
+            here = array.isel(dict(zip(outer, index, strict=True)))
+            labels = [_label(dataset, dim, i) for dim, i in zip(outer, index, strict=True)]
+            if normal:
+                values = here.transpose("y", "x", "xyz").values
+            else:
+                values = here.transpose("y", "x").values
+            yield Plane(
+                "_".join([str(name), *labels]), kind, values, {"units": array.attrs.get("units", "")}, scale
+            )
+
+
+def _label(dataset: Any, dim: str, index: int) -> str:
+    if dim == "frame" and "illumination" in dataset.coords:
+        return f"{index:04d}_{dataset.coords['illumination'].values[index]}"
+    if dim in dataset.coords:
+        value = dataset.coords[dim].values[index]
+        if dim == "band":
+            return f"{value:g}nm" if value else "broadband"
+        return f"{dim}{value:04d}" if dim == "tracking" else str(value)
+    return f"{dim}{index}"
+
+
+def _write(file: Path, plane: Plane, form: str, convention: str, header: dict[str, Any]) -> None:
+    import numpy as np
+
+    values = np.asarray(plane.values)
+    if plane.kind == "normal" and convention == "directx":
+        values = values * np.array([1, -1, 1], values.dtype)
+    header = {
+        **header,
+        "frame": FRAME,
+        "convention": CONVENTIONS[convention] if plane.kind == "normal" else "linear",
+    }
+    temporary = file.with_name(f".{file.name}.part{file.suffix}")
+    try:
+        if form == "npy":
+            np.save(temporary.with_suffix(".npy"), values)
+        elif form == "exr":
+            _write_exr(temporary, plane.kind, values, header)
+        else:
+            _write_png(temporary, plane, values, 65535 if form == "png16" else 255)
+        os.replace(temporary, file)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise WorkError(f"{file} cannot be written ({error.strerror or error})") from None
+
+
+def _write_png(file: Path, plane: Plane, values: Any, top: int) -> None:
+    """Normals as (n + 1) / 2, scalars from 0 to the array's full scale; black where not valid."""
+    import cv2
+    import numpy as np
+
+    dtype = np.uint16 if top > 255 else np.uint8
+    if plane.kind == "normal":
+        unit = (values[..., ::-1] + 1) / 2  # OpenCV writes B, G, R
+    elif plane.kind == "mask":
+        unit = values.astype(np.float32)
+    else:
+        unit = values / plane.full_scale
+    counts = np.nan_to_num(np.round(np.clip(unit, 0, 1) * top), nan=0.0).astype(dtype)
+    if not cv2.imwrite(str(file), counts):
+        raise WorkError(f"{file} cannot be written")
+
+
+def _write_exr(file: Path, kind: str, values: Any, header: dict[str, Any]) -> None:
+    """32-bit float channels: normal.X, normal.Y, normal.Z, or Y; NaN where not valid."""
+    import numpy as np
+    import OpenEXR
+
+    if kind == "normal":
+        parts = {f"normal.{axis}": np.ascontiguousarray(values[..., i], np.float32) for i, axis in enumerate("XYZ")}
+    else:
+        parts = {"Y": np.ascontiguousarray(values, np.float32)}
+    attributes = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    attributes |= {f"lightstage.{key}": str(value) for key, value in header.items() if value != ""}
+    with OpenEXR.File(attributes, parts) as exr:
+        exr.write(str(file))

@@ -19,7 +19,9 @@ def configure(commands: Any) -> None:
     verify.set_defaults(handler=handle_verify)
     gc = commands.add_parser("gc", help="free what no session and no result in use refers to")
     gc.add_argument("--dry-run", action="store_true", help="only say what would be freed")
-    gc.add_argument("--grace", default="7d", metavar="TIME", help="keep what is younger: 90s, 30m, 12h, 7d (default)")
+    gc.add_argument(
+        "--grace", default="7d", metavar="TIME", help="keep what is younger: 90s, 30m, 12h, 7d (default)"
+    )
     gc.set_defaults(handler=handle_gc)
 
 
@@ -59,8 +61,8 @@ def handle_gc(options: argparse.Namespace, screen: Screen) -> int:
     freed = gc(Store(options.store, create=False), grace_s=grace, dry_run=options.dry_run)
     verb = "would free" if options.dry_run else "freed"
     screen.say(
-        f"{verb} {human_size(freed.size)}: {freed.chunks} chunks, {freed.records} records, {freed.results} results, "
-        f"{freed.items} calibration items (nothing younger than {options.grace})"
+        f"{verb} {human_size(freed.size)}: {freed.chunks} chunks, {freed.records} records, "
+        f"{freed.results} results, {freed.items} calibration items (nothing younger than {options.grace})"
     )
     screen.document(
         {

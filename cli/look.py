@@ -57,7 +57,13 @@ def handle_status(options: argparse.Namespace, screen: Screen) -> int:
             continue
         found = status(state, store)
         answer[name] = {
-            s.name: {"status": s.condition, "known": s.known, "blocks": s.blocks, "bytes": s.size, "folder": s.folder}
+            s.name: {
+                "status": s.condition,
+                "known": s.known,
+                "blocks": s.blocks,
+                "bytes": s.size,
+                "folder": s.folder,
+            }
             for s in found
         }
         rows += [(name, s.name, s.condition, f"{s.known}/{s.blocks}", human_size(s.size)) for s in found]
@@ -109,7 +115,7 @@ def handle_graph(options: argparse.Namespace, screen: Screen) -> int:
         branch = "" if root else ("└─ " if last else "├─ ")
         different = {k: v for k, v in node.params if v != type(node.params).model_fields[k].default}
         shown = "".join(f", {k}: {v}" for k, v in different.items())
-        also = [upper for upper in node.above[1:]]
+        also = node.above[1:]
         more = f" (and from {', '.join(also)})" if also else ""
         screen.say(f"{prefix}{branch}{name}: {node.stage.summary}{shown}{more}")
         children = [child for child in below[name] if graph.nodes[child].above[0] == name]

@@ -80,7 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
-    except Exception as error:  # noqa: BLE001  the last resort: one sentence for anything unforeseen
+    except Exception as error:
         if "--debug" in words:
             raise
         name = type(error).__name__

@@ -42,7 +42,9 @@ def add_run_options(parser: argparse.ArgumentParser) -> None:
     """What decides a run."""
     parser.add_argument("--set", action="append", default=[], metavar="NODE.PARAM=VALUE", dest="overrides")
     parser.add_argument("--frames", metavar="A:B", help="only these frames (half-open)")
-    parser.add_argument("--pipeline", type=Path, metavar="FILE", help="default: ./pipeline.yaml, or the packaged one")
+    parser.add_argument(
+        "--pipeline", type=Path, metavar="FILE", help="default: ./pipeline.yaml, or the packaged one"
+    )
     parser.add_argument(
         "--calibration", action="append", default=[], metavar="KIND=FILE", help="use this item for this run"
     )

@@ -110,7 +110,9 @@ def say_verdict(session: "Session", screen: Screen) -> None:
         )
     worst = [row for row in rows if row[-1] != "good"]
     if len(rows) > 60:
-        screen.say(f"{len(rows) - len(worst)} of {len(rows)} pictures are good" + (", the others:" if worst else ""))
+        screen.say(
+            f"{len(rows) - len(worst)} of {len(rows)} pictures are good" + (", the others:" if worst else "")
+        )
         rows = worst[:60]
     head = ("light", "nm", "camera", "saturated", "underexposed", "a + a' - c", "verdict")
     if rows:
@@ -150,7 +152,9 @@ def handle_show(options: argparse.Namespace, screen: Screen) -> int:
     rate = facts["frame_rate_hz"]
     screen.say(f"session {session.name}, from {session.source['folder']}")
     screen.say(f"  {session.sizes['frame']} frames: {lights if len(lights) < 90 else lights[:87] + '...'}")
-    screen.say(f"  bands {', '.join(f'{b:g}' for b in facts['bands_nm'])} nm; {facts['bits']} bits, {facts['encoding']}")
+    screen.say(
+        f"  bands {', '.join(f'{b:g}' for b in facts['bands_nm'])} nm; {facts['bits']} bits, {facts['encoding']}"
+    )
     screen.say(f"  cameras {', '.join(f'{p}: {c}' for p, c in facts['cameras'].items())}")
     screen.say(f"  {'static' if rate is None else f'{rate:g} frames/s'}; {session.shape[1]} x {session.shape[0]}")
     screen.say(f"  stored {human_size(session.size)} in {store.sessions / session.name / 'raw.zarr'}")
@@ -199,14 +203,25 @@ def handle_items(options: argparse.Namespace, screen: Screen) -> int:
             bound.setdefault(f"{kind}-{digest[:12]}", []).append(name)
     items = [item for item in all_items(store) if not options.session or item.name in bound]
     rows = [
-        (item.name, item.notes.get("rig", ""), item.notes.get("valid_from", ""), ", ".join(bound.get(item.name, [])))
+        (
+            item.name,
+            item.notes.get("rig", ""),
+            item.notes.get("valid_from", ""),
+            ", ".join(bound.get(item.name, [])),
+        )
         for item in items
     ]
     screen.table(("item", "rig", "valid from", "bound to"), rows)
     screen.document(
         {
             "items": [
-                {"item": i.name, "kind": i.kind, "digest": i.digest, "notes": dict(i.notes), "sessions": bound.get(i.name, [])}
+                {
+                    "item": i.name,
+                    "kind": i.kind,
+                    "digest": i.digest,
+                    "notes": dict(i.notes),
+                    "sessions": bound.get(i.name, []),
+                }
                 for i in items
             ]
         }
@@ -227,7 +242,13 @@ def handle_item(options: argparse.Namespace, screen: Screen) -> int:
     for camera, text in pictures.items():
         screen.say(f"# {camera}: {text}")
     screen.document(
-        {"item": item.name, "digest": item.digest, "values": item.values, "notes": dict(item.notes), "pictures": pictures}
+        {
+            "item": item.name,
+            "digest": item.digest,
+            "values": item.values,
+            "notes": dict(item.notes),
+            "pictures": pictures,
+        }
     )
     return 0
 

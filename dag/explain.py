@@ -75,21 +75,35 @@ def why(state: State, name: str, store: Store) -> tuple[str, list[Reason]]:
     how = _node_status(session, name, node, store)
     reasons: list[Reason] = []
     if how.folder is None:
-        return f"{name} has no result yet: {len(node.missing())} of {how.blocks} blocks have to be computed", []
+        return (
+            f"{name} has no result yet: {len(node.missing())} of {how.blocks} blocks have to be computed",
+            [],
+        )
     made = provenance(session, name, how.folder, store) or {}
     if how.condition != "fresh":
         for upper in _with_above(state, name):
             reasons += _against_now(state, upper, store)
         todo = len(node.missing())
-        return f"{name} is {how.condition}: {todo} of {how.blocks} blocks have to be computed or checked", reasons
+        return (
+            f"{name} is {how.condition}: {todo} of {how.blocks} blocks have to be computed or checked",
+            reasons,
+        )
     before = made.get("before")
     older = provenance(session, name, before, store) if before and before != how.folder else None
     if older is None:
-        return f"{name} is fresh: its {how.blocks} blocks were computed on {made.get('finished')}; no result stood before it", []
+        return (
+            f"{name} is fresh: its {how.blocks} blocks were computed on {made.get('finished')}; "
+            "no result stood before it",
+            [],
+        )
     for upper in _with_above(state, name):
-        now_folder = how.folder if upper == name else (made.get("above", {}).get(upper) or current(session, upper, store))
+        now_folder = (
+            how.folder if upper == name else (made.get("above", {}).get(upper) or current(session, upper, store))
+        )
         old_folder = before if upper == name else older.get("above", {}).get(upper)
-        reasons += _between(upper, _read(session, upper, old_folder, store), _read(session, upper, now_folder, store))
+        reasons += _between(
+            upper, _read(session, upper, old_folder, store), _read(session, upper, now_folder, store)
+        )
     return f"{name} is fresh; against the result before it ({before}) these inputs changed", reasons
 
 

@@ -60,15 +60,13 @@ class Graph:
         if unknown:
             raise RequestError(f"{self.source} has no node '{unknown[0]}'{nearest(unknown[0], self.nodes)}")
         wanted = set(names or self.nodes)
-        for name in reversed(self.nodes):
+        for name in reversed(list(self.nodes)):
             if name in wanted:
                 wanted |= set(self.nodes[name].above)
         return [name for name in self.nodes if name in wanted]
 
 
-def load_graph(
-    path: Path, table: Mapping[str, str], *, overrides: Sequence[str] = ()
-) -> Graph:
+def load_graph(path: Path, table: Mapping[str, str], *, overrides: Sequence[str] = ()) -> Graph:
     """Read a pipeline file and check it against the stages.
 
     Args:
@@ -101,10 +99,16 @@ def load_graph(
         if len(above) != stage.sources:
             spot = source.at((*at, "from"))
             wants = f"{stage.sources} node(s)" if stage.sources else "none: it brings in the session"
-            problems.append(f"{spot}: '{name}' names {len(above)} node(s) in 'from'; the stage {stage.name} reads {wants}")
+            problems.append(
+                f"{spot}: '{name}' names {len(above)} node(s) in 'from'; the stage {stage.name} reads {wants}"
+            )
         if params is not None:
             nodes[name] = Node(name, stage, module, params, above)
-    order = _order(source, {name: (e.from_,) if isinstance(e.from_, str) else e.from_ for name, e in entries.items()}, problems)
+    order = _order(
+        source,
+        {name: (e.from_,) if isinstance(e.from_, str) else e.from_ for name, e in entries.items()},
+        problems,
+    )
     for name in order:
         if name in nodes:
             problems += _misfits(source, nodes[name], nodes)
@@ -165,7 +169,9 @@ def _order(source: Document, above: Mapping[str, Sequence[str]], problems: list[
             return
         if state.get(name) == 1:
             circle = " -> ".join((*path[path.index(name) :], name))
-            problems.append(f"{source.at(('stages', name, 'from'))}: the nodes read each other in a circle: {circle}")
+            problems.append(
+                f"{source.at(('stages', name, 'from'))}: the nodes read each other in a circle: {circle}"
+            )
             return
         state[name] = 1
         for upper in above[name]:

@@ -14,10 +14,10 @@ from dag.fingerprint import block_key, plain_context, recipe, stage_parts
 from dag.graph import Graph, Node
 from dag.stage import Arrangement, CalibrationPicture, Grid, Group, StageError
 from store.calibration import Item, StoredPicture, get_item, not_valid_for
+from store.chunks import ChunkRef
 from store.digest import SHORT, digest_value
 from store.errors import RequestError, raise_all
 from store.grid import ArrayTemplate, ChunkIndex, Coordinate
-from store.chunks import ChunkRef
 from store.records import BlockRecord
 from store.root import Store
 from store.sessions import Session
@@ -79,7 +79,9 @@ class NodePlan:
     def coordinates(self) -> dict[str, Coordinate]:
         """The labels of the result."""
         units = {"band": {"units": "nm"}, "time_s": {"units": "s"}}
-        return {name: Coordinate(dims, values, units.get(name, {})) for name, (dims, values) in self.grid.labels.items()}
+        return {
+            name: Coordinate(dims, values, units.get(name, {})) for name, (dims, values) in self.grid.labels.items()
+        }
 
 
 @dataclass(frozen=True)
@@ -121,7 +123,9 @@ class NodeState:
     def manifest(self) -> str:
         """Digest of the values of all selected blocks: names the content."""
         content = {
-            ",".join(map(str, block.index)): {name: [r.value for r in refs] for name, refs in record.outputs.items()}
+            ",".join(map(str, block.index)): {
+                name: [r.value for r in refs] for name, refs in record.outputs.items()
+            }
             for block, record, selected in zip(self.plan.blocks, self.records, self.selected, strict=True)
             if record is not None and selected
         }
@@ -154,7 +158,9 @@ def bound_items(session: Session, store: Store, overrides: Mapping[str, Item]) -
     return items | dict(overrides)
 
 
-def make_plan(graph: Graph, session: Session, store: Store, items: Mapping[str, Item], targets: Sequence[str]) -> Plan:
+def make_plan(
+    graph: Graph, session: Session, store: Store, items: Mapping[str, Item], targets: Sequence[str]
+) -> Plan:
     """Lay the nodes that `targets` need over a session.
 
     Raises:
@@ -171,7 +177,9 @@ def make_plan(graph: Graph, session: Session, store: Store, items: Mapping[str, 
         if problems:
             continue
         try:
-            nodes[name] = _plan_node(node, [nodes[upper] for upper in node.above], facts, _plain_items(items, store))
+            nodes[name] = _plan_node(
+                node, [nodes[upper] for upper in node.above], facts, _plain_items(items, store)
+            )
         except StageError as error:
             problems.append(f"session '{session.name}', {name}: {error}")
     raise_all(problems)
@@ -183,7 +191,9 @@ def _item_problems(node: Node, items: Mapping[str, Item], facts: Mapping[str, An
     for kind, needs in node.stage.calibration.items():
         item = items.get(kind)
         if item is None and needs.required:
-            problems.append(f"{node.name} needs the {kind} item ({needs.why}); bound are {', '.join(items) or 'none'}")
+            problems.append(
+                f"{node.name} needs the {kind} item ({needs.why}); bound are {', '.join(items) or 'none'}"
+            )
         if item is not None:
             reason = not_valid_for(item, rig=facts["rig"], captured=facts["captured"])
             if reason:

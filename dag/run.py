@@ -26,7 +26,7 @@ from dag.plan import NodePlan, NodeState, Piece, Plan, State, look_up
 from dag.stage import Stage, StageError
 from store.chunks import ChunkRef
 from store.digest import digest_value
-from store.errors import DamagedChunk, RequestError, WorkError
+from store.errors import DamagedChunkError, RequestError, WorkError
 from store.keeper import quarantine_chunk
 from store.records import BlockRecord
 from store.results import ResultName, current, publish, set_current
@@ -219,7 +219,9 @@ def _single_threaded_libraries() -> None:
         cv2.setNumThreads(1)
 
 
-def run(plan: Plan, store: Store, watcher: Watcher, *, frames: tuple[int, int] | None = None, where: Where) -> State:
+def run(
+    plan: Plan, store: Store, watcher: Watcher, *, frames: tuple[int, int] | None = None, where: Where
+) -> State:
     """Compute every selected block of a plan that is not known, and publish the results.
 
     A damaged chunk that is met on the way is quarantined and made again.
@@ -233,7 +235,7 @@ def run(plan: Plan, store: Store, watcher: Watcher, *, frames: tuple[int, int] |
         try:
             _compute(state, store, watcher, where)
             return state
-        except DamagedChunk as damage:
+        except DamagedChunkError as damage:
             told = quarantine_chunk(store, damage.blob)
             if "import" in told:
                 raise WorkError(f"{damage}; it was {told}") from None
@@ -323,8 +325,8 @@ class _Collector:
         if "not_deterministic" in record.stats:
             node = self._state.nodes[name].plan
             self._watcher.warn(
-                f"{name}, {node.blocks[index].label}: computed again, it came out different; the first result stays. "
-                "The kernel is not deterministic, or this machine computes otherwise than the one before"
+                f"{name}, {node.blocks[index].label}: computed again, it came out different; the first result "
+                "stays. The kernel is not deterministic, or this machine computes otherwise than the one before"
             )
             record = replace(record, stats={k: v for k, v in record.stats.items() if k != "not_deterministic"})
         self._state.nodes[name].records[index] = record
@@ -362,14 +364,18 @@ def _client(where: Where) -> Iterator[Any]:
         try:
             client = Client(where.scheduler, timeout="10s")
         except (OSError, TimeoutError, ValueError) as error:
-            raise RequestError(f"--scheduler {where.scheduler}: no Dask scheduler answers there ({error})") from None
+            raise RequestError(
+                f"--scheduler {where.scheduler}: no Dask scheduler answers there ({error})"
+            ) from None
         with client:
             yield client
         return
     quiet = {"distributed.worker.memory.target": False, "distributed.worker.memory.spill": False}
     with (
         dask.config.set(quiet),
-        LocalCluster(n_workers=where.workers, threads_per_worker=1, processes=True, dashboard_address=None) as cluster,
+        LocalCluster(
+            n_workers=where.workers, threads_per_worker=1, processes=True, dashboard_address=None
+        ) as cluster,
         Client(cluster) as client,
     ):
         yield client
@@ -388,7 +394,9 @@ def _publish(state: State, name: str, node: NodeState, store: Store, versions: M
     chosen = [r for r, selected in zip(node.records, node.selected, strict=True) if r is not None and selected]
     computed = [record for record in chosen if not record.reused]
     refs = tuple(ref for record in chosen for ref in record.chunks())
-    stats = {key: float(np.mean([r.stats[key] for r in chosen])) for key in sorted({k for r in chosen for k in r.stats})}
+    stats = {
+        key: float(np.mean([r.stats[key] for r in chosen])) for key in sorted({k for r in chosen for k in r.stats})
+    }
     plan = node.plan
     attrs = {**{k: v for k, v in plan.grid.attrs.items() if v != ""}, **stats}
     if plan.absent:
@@ -401,7 +409,9 @@ def _publish(state: State, name: str, node: NodeState, store: Store, versions: M
         result = ResultName(session.name, name, plan.recipe, node.manifest())
         if len(chosen) < len(plan.blocks):
             attrs["partial"] = f"{len(chosen)} of {len(plan.blocks)} blocks"
-        items = {kind: state.plan.items[kind].name for kind in plan.node.stage.calibration if kind in state.plan.items}
+        items = {
+            kind: state.plan.items[kind].name for kind in plan.node.stage.calibration if kind in state.plan.items
+        }
         attrs |= {
             "session": session.name,
             "node": name,
@@ -442,9 +452,14 @@ def _publish(state: State, name: str, node: NodeState, store: Store, versions: M
         if len(chosen) == len(plan.blocks) and node.node_key is not None:
             store.records.put_node(node.node_key, chosen)
     return NodeResult(
-        len(computed), len(chosen) - len(computed), sum(r.seconds for r in computed), sum(r.size for r in refs), path,
-        refs, attrs,
-    )  # fmt: skip
+        computed=len(computed),
+        reused=len(chosen) - len(computed),
+        seconds=sum(record.seconds for record in computed),
+        size=sum(record.size for record in chosen),
+        path=path,
+        chunks=refs,
+        attrs=attrs,
+    )
 
 
 def plain_parts(plan: NodePlan) -> dict[str, Any]:
@@ -467,4 +482,3 @@ def _input_values(state: State, node: NodeState) -> dict[str, list[str]]:
                         read.append(above.outputs[array][offset].value)
         values[block.label] = read
     return values
-

@@ -17,7 +17,13 @@ def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: CapturePar
     height, width = facts["shape"]
     frames, bands = len(facts["illumination"]), len(facts["bands_nm"])
     times = [float("nan") if t is None else float(t) for t in facts["time_s"]]
-    sizes = {"frame": frames, "band": bands, "polarisation": len(facts["polarisation"]), "y": height, "x": width}
+    sizes = {
+        "frame": frames,
+        "band": bands,
+        "polarisation": len(facts["polarisation"]),
+        "y": height,
+        "x": width,
+    }
     labels: dict[str, tuple[tuple[str, ...], Sequence[Any]]] = {
         "illumination": (("frame",), list(facts["illumination"])),
         "time_s": (("frame",), times),

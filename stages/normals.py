@@ -34,7 +34,9 @@ class NormalsParams(Params):
     method: Literal["auto", "ratio", "difference", "minimal", "least_squares"] = Field(
         "auto", description="auto: the best that the session's frames support"
     )
-    base: Literal["auto", "X", "Y", "Z"] = Field("auto", description="the pair of a minimal set; auto: what is held")
+    base: Literal["auto", "X", "Y", "Z"] = Field(
+        "auto", description="the pair of a minimal set; auto: what is held"
+    )
     correct: Literal["none", "qp"] = Field("none", description="qp: Dutta's correction, all seven pictures")
     component: Literal["diffuse", "specular"] = Field("diffuse", description="which light the pictures show")
     fuse: Literal["none", "bands"] = Field("none", description="bands: one map from all bands, weighted by noise")
@@ -59,17 +61,25 @@ def choose(have: Sequence[str], *, method: str = "auto", base: str = "auto", cor
     """
     present = set(have)
     lights = tuple(name for name in dict.fromkeys(have) if name.startswith("L"))
-    supported = [name for name in ("difference", "minimal", "ratio", "least_squares") if _supports(name, base, present)]
+    supported = [
+        name for name in ("difference", "minimal", "ratio", "least_squares") if _supports(name, base, present)
+    ]
     chosen = (supported[0] if supported else None) if method == "auto" else method
     if chosen not in supported:
         works = f"method: {' or '.join(supported)} would work" if supported else "no method works with these"
         what = "any method" if method == "auto" else method + (f" with base {base}" if base != "auto" else "")
-        raise StageError(f"{what} needs {_needs(method, base)}; the session has {', '.join(dict.fromkeys(have))}; {works}")
+        raise StageError(
+            f"{what} needs {_needs(method, base)}; the session has {', '.join(dict.fromkeys(have))}; {works}"
+        )
     if chosen == "least_squares":
         if correct == "qp":
             raise StageError("correct: qp belongs to the gradient methods; with least_squares set correct: none")
         return Choice(chosen, "", lights)
-    axis = next(a for a in AXES if base in ("auto", a) and _supports("minimal", a, present)) if chosen == "minimal" else ""
+    axis = (
+        next(a for a in AXES if base in ("auto", a) and _supports("minimal", a, present))
+        if chosen == "minimal"
+        else ""
+    )
     wanted = table(chosen, axis, [*GRADIENTS, "C"] if correct == "qp" else have).pictures
     missing = [name for name in wanted if name not in present]
     if missing:
@@ -239,11 +249,10 @@ def _context(
             )
         fields = ("position_mm", "direction", "power")
         wanted = {_number(name) for name in labels["names"]}
-        have = [light for light in items["lights"]["lights"]]
         lights = {
             "lights": [
                 {"id": light["id"], **{k: light[k] for k in fields}}
-                for light in have
+                for light in items["lights"]["lights"]
                 if light["position_mm"] is not None or _number(light["id"]) in wanted
             ]
         }
@@ -299,11 +308,11 @@ def _sets(
     for k, frame in enumerate(tracking):
         first = tracking[k - 1] + 1 if k else 0
         last = tracking[k + 1] if k + 1 < len(tracking) else len(illumination)
-        place: dict[str, int] = {}
+        at: dict[str, int] = {}
         for i in sorted(range(first, last), key=lambda i: abs(i - frame)):
-            place.setdefault(illumination[i], i)
+            at.setdefault(illumination[i], i)
         try:
-            found.append((frame, choose(list(place), **ask), place))
+            found.append((frame, choose(list(at), **ask), at))
         except StageError as error:
             refusal = error
     if not found:
@@ -320,7 +329,7 @@ def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: NormalsPar
     dim = "frame" if performance else "illumination"
     components = list(stacked.along("component"))
     notes: dict[str, Any] = {}
-    component = params.component
+    component: str = params.component
     if component not in components:
         if component == "specular" or "total" not in components:
             why = stacked.attrs.get("cannot_be_made", f"it has {', '.join(components)}")

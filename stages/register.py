@@ -29,7 +29,10 @@ class RegisterParams(Params):
     """Parameters of `register`."""
 
     flat_smoothing_percent: float = Field(
-        2.0, gt=0, le=25, description="sigma of the smoothing before the flat's maximum, in percent of the width"
+        2.0,
+        gt=0,
+        le=25,
+        description="sigma of the smoothing before the flat's maximum, in percent of the width",
     )
 
 
@@ -112,9 +115,10 @@ def _picture(kind: str, camera: str, item: Mapping[str, Any], size: tuple[int, i
     pixels = np.asarray(item["pictures"][camera].load())
     if pixels.shape != size:
         raise StageError(
-            f"the {kind} of {camera} is {pixels.shape[1]} x {pixels.shape[0]}; the pictures are {size[1]} x {size[0]}"
+            f"the {kind} of {camera} is {pixels.shape[1]} x {pixels.shape[0]}; "
+            f"the pictures are {size[1]} x {size[0]}"
         )
-    return (pixels / item["scale"]).astype(np.float32)
+    return np.asarray(pixels / item["scale"], np.float32)
 
 
 def _dark(camera: str, item: Mapping[str, Any] | None, size: tuple[int, int]) -> NDArray[np.float32]:
@@ -140,7 +144,7 @@ def _gains(
             y, x = np.argwhere(wrong)[0]
             raise StageError(
                 f"the flat of {camera} is not above its dark at {int(wrong.sum())} pixel(s), the first at "
-                f"x={x}, y={y}; a flat must show light everywhere: capture it again, or with dark_included set right"
+                f"x={x}, y={y}; a flat must show light everywhere: capture it again, or set dark_included right"
             )
     sigma = smoothing_percent / 100 * size[1]
     scale = float(cv2.GaussianBlur(lit[reference], (0, 0), sigma).max())

@@ -65,9 +65,7 @@ def warp(image: Image, to_source: NDArray[np.float64], height: int, width: int) 
             total = np.float32(0.0)
             for k, wy in ((-1, wy0), (0, wy1), (1, wy2), (2, wy3)):
                 row = image[iy + k]
-                total += wy * (
-                    wx0 * row[ix - 1] + wx1 * row[ix] + wx2 * row[ix + 1] + wx3 * row[ix + 2]
-                )
+                total += wy * (wx0 * row[ix - 1] + wx1 * row[ix] + wx2 * row[ix + 1] + wx3 * row[ix + 2])
             out[y, x] = total
     return out
 

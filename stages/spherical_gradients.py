@@ -72,6 +72,7 @@ def table(method: str, base: str, have: Sequence[str]) -> Table:
             names = (axis, axis) if direct else (complement, complement)
         slots[axis], slots[complement] = names
         used += [name for name in names if name not in used]
+    constant: tuple[float, float, float]
     if "C" in have:
         constant = (1, 0, 0)
     else:
@@ -97,7 +98,12 @@ class Normals(NamedTuple):
     def empty(cls, shape: tuple[int, ...]) -> "Normals":
         """Unset arrays for pictures of a shape."""
         f4 = np.float32
-        return cls(np.empty((3, *shape), np.int16), np.empty(shape, f4), np.empty(shape, f4), np.empty(shape, np.bool_))
+        return cls(
+            np.empty((3, *shape), np.int16),
+            np.empty(shape, f4),
+            np.empty(shape, f4),
+            np.empty(shape, np.bool_),
+        )
 
 
 def solve(

@@ -43,7 +43,10 @@ def split(signal: NDArray[np.float32], *, polarisations: Sequence[str]) -> Mappi
     out = np.empty((2, *cross.shape), np.float32)
     np.multiply(cross, 2, out=out[0])
     np.subtract(signal[polarisations.index("parallel")], cross, out=out[1])
-    return {"signal": out, "stats": {"negative_specular_fraction": np.count_nonzero(out[1] < 0) / out[1].size}}
+    return {
+        "signal": out,
+        "stats": {"negative_specular_fraction": np.count_nonzero(out[1] < 0) / out[1].size},
+    }
 
 
 def components(polarisations: Sequence[str]) -> tuple[str, ...]:
@@ -60,7 +63,9 @@ _CANNOT = {
 }
 
 
-def _context(labels: Mapping[str, Any], facts: Mapping[str, Any], items: Items, params: SplitParams) -> dict[str, Any]:
+def _context(
+    labels: Mapping[str, Any], facts: Mapping[str, Any], items: Items, params: SplitParams
+) -> dict[str, Any]:
     return {"polarisations": list(facts["polarisation"])}
 
 

@@ -46,7 +46,9 @@ def stack(signal: Sequence[NDArray[np.float32]], *, counts_per_radiance: float) 
         return {"radiance": (total / count * scale).astype(np.float32)}
 
 
-def _context(labels: Mapping[str, Any], facts: Mapping[str, Any], items: Items, params: StackParams) -> dict[str, Any]:
+def _context(
+    labels: Mapping[str, Any], facts: Mapping[str, Any], items: Items, params: StackParams
+) -> dict[str, Any]:
     scale = 1.0
     band = labels["band"]
     if "bands" in items:
@@ -69,7 +71,9 @@ def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: StackParam
         dim, frames = "frame", [[i] for i in range(len(illumination))]
     else:
         dim = "illumination"
-        frames = [[i for i, name in enumerate(illumination) if name == kind] for kind in dict.fromkeys(illumination)]
+        frames = [
+            [i for i, name in enumerate(illumination) if name == kind] for kind in dict.fromkeys(illumination)
+        ]
     bands = list(parts.along("band"))
     sizes = {dim: len(frames), **{k: v for k, v in parts.sizes.items() if k != "frame"}}
     labels: dict[str, tuple[tuple[str, ...], Sequence[Any]]] = {

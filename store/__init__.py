@@ -1,16 +1,16 @@
 """What is on disk: sessions, calibration items, results, blocks and their traces. Knows no graph.
 
-    errors.py       the two kinds of failure, each with its exit code
-    digest.py       content digests of values and of bytes
-    files.py        atomic writes, links, sizes for humans
-    document.py     YAML with line and column, checked against a model
-    root.py         the folder itself, and the one object that joins the rest
-    chunks.py       stored chunks, addressed by content
-    records.py      what was computed from what: block, node and run records
-    grid.py         the zarr groups that anyone can open with xarray
-    capture.py      the capture folder, as it comes off a rig
-    sessions.py     imported captures
-    calibration.py  calibration items
-    results.py      the result folders
-    keeper.py       verify and gc
+errors.py       the two kinds of failure, each with its exit code
+digest.py       content digests of values and of bytes
+files.py        atomic writes, links, sizes for humans
+document.py     YAML with line and column, checked against a model
+root.py         the folder itself, and the one object that joins the rest
+chunks.py       stored chunks, addressed by content
+records.py      what was computed from what: block, node and run records
+grid.py         the zarr groups that anyone can open with xarray
+capture.py      the capture folder, as it comes off a rig
+sessions.py     imported captures
+calibration.py  calibration items
+results.py      the result folders
+keeper.py       verify and gc
 """

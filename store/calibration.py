@@ -21,7 +21,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from store import document
 from store.chunks import ChunkRef
 from store.digest import SHORT, digest_value
-from store.errors import DamagedChunk, RequestError
+from store.errors import DamagedChunkError, RequestError
 from store.files import replace
 from store.picture import PictureError, decode, read_file
 from store.root import Store
@@ -265,7 +265,9 @@ def get_item(kind: str, digest: str, store: Store) -> Item:
     try:
         plain = json.loads(path.read_bytes())
     except (FileNotFoundError, ValueError):
-        raise RequestError(f"the {kind} item {digest[:SHORT]} is not in the store; import its capture again") from None
+        raise RequestError(
+            f"the {kind} item {digest[:SHORT]} is not in the store; import its capture again"
+        ) from None
     pictures = {camera: StoredPicture.from_plain(picture) for camera, picture in plain["pictures"].items()}
     return Item(plain["kind"], plain["digest"], plain["values"], plain["notes"], pictures)
 
@@ -310,7 +312,11 @@ def items_in(folder: Path, store: Store) -> tuple[dict[str, tuple[Item, bytes]],
         try:
             kind = document.load(path, what="a calibration item").value
             kind = kind.get("item") if isinstance(kind, dict) else None
-            if isinstance(kind, str) and kind not in KINDS and not document.nearest(kind, KINDS).startswith("; did"):
+            if (
+                isinstance(kind, str)
+                and kind not in KINDS
+                and not document.nearest(kind, KINDS).startswith("; did")
+            ):
                 warnings.append(f"{path}: no stage reads a '{kind}' item; passed over")
                 continue
             item, original = read_item(path, store)
@@ -341,5 +347,5 @@ def check_pictures(item: Item, store: Store, *, repair: Callable[[str], None]) -
     for picture in item.pictures.values():
         try:
             picture.load(store)
-        except DamagedChunk as damage:
+        except DamagedChunkError as damage:
             repair(damage.blob)

@@ -8,10 +8,10 @@ never changed. Reading checks that digest: a damaged chunk can stop a run but ca
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 from store.digest import digest_array, digest_bytes
-from store.errors import DamagedChunk
+from store.errors import DamagedChunkError
 from store.files import Scratch, put_if_absent
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ class ChunkRef:
         return cls(str(plain[0]), str(plain[1]), int(plain[2]))
 
 
-def shuffle_for(shape: tuple[int, ...]) -> str:
+def shuffle_for(shape: tuple[int, ...]) -> Literal["bitshuffle", "shuffle"]:
     """Blosc's bit shuffle leaves a chunk uncompressed unless its element count is a multiple of 8."""
     count = 1
     for size in shape:
@@ -80,7 +80,7 @@ class Chunks:
         """Read a chunk, read-only.
 
         Raises:
-            DamagedChunk: it is gone, or its bytes are not the ones that were stored.
+            DamagedChunkError: it is gone, or its bytes are not the ones that were stored.
         """
         import numpy as np
 
@@ -88,9 +88,13 @@ class Chunks:
         try:
             encoded = path.read_bytes()
         except OSError as error:
-            raise DamagedChunk(f"the stored chunk {path} cannot be read ({error.strerror})", ref.blob) from None
+            raise DamagedChunkError(
+                f"the stored chunk {path} cannot be read ({error.strerror})", ref.blob
+            ) from None
         if digest_bytes(encoded) != ref.blob:
-            raise DamagedChunk(f"the stored chunk {path} is damaged: its bytes do not have its digest", ref.blob)
+            raise DamagedChunkError(
+                f"the stored chunk {path} is damaged: its bytes do not have its digest", ref.blob
+            )
         array = np.frombuffer(_decode(encoded), dtype=dtype).reshape(shape)
         array.flags.writeable = False
         return array

@@ -26,7 +26,7 @@ def digest_array(array: "NDArray[np.generic]") -> str:
     """Digest of an array's values, dtype and shape; the byte order and the memory layout do not count."""
     array = array.astype(array.dtype.newbyteorder("<"), order="C", copy=False)
     hasher = xxhash.xxh3_128(f"{array.dtype.str}{array.shape}".encode())
-    hasher.update(memoryview(array).cast("B") if array.size else b"")
+    hasher.update(array.data.cast("B") if array.size else b"")
     return hasher.hexdigest()
 
 

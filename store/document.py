@@ -162,7 +162,9 @@ def sentence(document: Document, model: "type[BaseModel]", where: Where, problem
         options = re.findall(r"'([^']*)'", message)
         message += nearest(found, options) if nearest(found, options).startswith("; did") else ""
     shown = repr(found) if not isinstance(found, dict | tuple) else "what stands there"
-    return f"{place}: {name + ': ' if name else ''}{message}" + ("" if kind == "value_error" else f", found {shown}")
+    return f"{place}: {name + ': ' if name else ''}{message}" + (
+        "" if kind == "value_error" else f", found {shown}"
+    )
 
 
 def nearest(word: str, known: Iterable[str]) -> str:

@@ -19,7 +19,7 @@ class RequestError(LightstageError):
     exit_code = 2
 
 
-class DamagedChunk(WorkError):
+class DamagedChunkError(WorkError):
     """A stored chunk does not have the content that its name promises."""
 
     def __init__(self, message: str, blob: str) -> None:
@@ -28,7 +28,7 @@ class DamagedChunk(WorkError):
 
     def __reduce__(self) -> tuple[type, tuple[str, str]]:
         # a second argument is not in Exception.args, and workers send exceptions pickled
-        return (DamagedChunk, (str(self), self.blob))
+        return (DamagedChunkError, (str(self), self.blob))
 
 
 def raise_all(problems: Iterable[str]) -> None:

@@ -54,7 +54,12 @@ def publish(
         temporary = store.scratch.path()
         with full_disk_is_named(path):
             write_group(
-                temporary, arrays=arrays, coordinates=coordinates, attrs=attrs, chunks=chunks, source=store.chunks
+                temporary,
+                arrays=arrays,
+                coordinates=coordinates,
+                attrs=attrs,
+                chunks=chunks,
+                source=store.chunks,
             )
             path.parent.mkdir(parents=True, exist_ok=True)
             replace(store.scratch, path.with_name(f"{path.name}.json"), json.dumps(provenance, indent=1).encode())
@@ -93,7 +98,9 @@ def current_path(session: str, node: str, store: Store) -> Path:
     name = current(session, node, store)
     if name is None:
         folder = store.results / session
-        have = sorted(p.name for p in folder.iterdir() if current(session, p.name, store)) if folder.is_dir() else []
+        have = (
+            sorted(p.name for p in folder.iterdir() if current(session, p.name, store)) if folder.is_dir() else []
+        )
         raise RequestError(
             f"session '{session}' has no result of '{node}' yet (it has {', '.join(have) or 'none'}); "
             f"`lightstage run {node} --session {session}` computes it"

@@ -8,13 +8,13 @@
 chunks, so that a run that is reading the old version is not disturbed by an import.
 """
 
-import datetime
 import json
 import os
 import shutil
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace as changed
+from dataclasses import dataclass
+from dataclasses import replace as changed
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ from store.chunks import ChunkRef
 from store.digest import SHORT, digest_bytes, digest_value
 from store.errors import RequestError, raise_all
 from store.files import full_disk_is_named
-from store.grid import ArrayTemplate, Coordinate, write_group
+from store.grid import ArrayTemplate, ChunkIndex, Coordinate, write_group
 from store.picture import Picture, PictureError, decode, read_file
 from store.root import Store
 
@@ -151,7 +151,9 @@ class _ReadPicture:
     problem: str | None = None
 
 
-def import_capture(folder: Path, store: Store, *, name: str | None = None, progress: Progress | None = None) -> Imported:
+def import_capture(
+    folder: Path, store: Store, *, name: str | None = None, progress: Progress | None = None
+) -> Imported:
     """Bring a capture folder into the store, or update the session that came from it.
 
     Everything is read and checked before the session appears or changes. Unchanged files (by their bytes) are
@@ -163,7 +165,9 @@ def import_capture(folder: Path, store: Store, *, name: str | None = None, progr
     capture = read_capture(folder)
     session_name = name or capture.description.session
     if not SESSION_NAME.fullmatch(session_name):
-        raise RequestError(f"--session {session_name}: only letters, digits, dot, dash and underscore can be in a name")
+        raise RequestError(
+            f"--session {session_name}: only letters, digits, dot, dash and underscore can be in a name"
+        )
     before = read_session(session_name, store) if session_name in session_names(store) else None
     lost = 0 if before is None else sum(not _intact([ref], store) for ref in before.refs())
     pictures = capture.pictures()
@@ -238,7 +242,11 @@ def _facts(capture: Capture) -> dict[str, Any]:
 
 
 def _read_pictures(
-    capture: Capture, pictures: list[PictureFile], store: Store, before: Session | None, progress: Progress | None
+    capture: Capture,
+    pictures: list[PictureFile],
+    store: Store,
+    before: Session | None,
+    progress: Progress | None,
 ) -> list[_ReadPicture]:
     known: dict[tuple[str, int, str, tuple[int, ...]], tuple[ChunkRef, ...]] = {}
     same_decoding = before is not None and all(
@@ -415,7 +423,7 @@ def _write_raw(session: Session, store: Store) -> None:
     dims = tuple(sizes)
     shape = tuple(sizes.values())
     arrays = {"raw": ArrayTemplate(dims, shape, (1, 1, 1, *session.shape), "uint16", {"units": "counts"})}
-    chunks = {
+    chunks: dict[str, dict[ChunkIndex, ChunkRef]] = {
         "raw": {
             (f, b, p, 0, 0): ref
             for f, frame in enumerate(session.images)
@@ -433,7 +441,10 @@ def _write_raw(session: Session, store: Store) -> None:
             temporary,
             arrays=arrays,
             coordinates=raw_coordinates(session),
-            attrs={"session": session.name, **{k: v for k, v in facts.items() if k not in hidden and v is not None}},
+            attrs={
+                "session": session.name,
+                **{k: v for k, v in facts.items() if k not in hidden and v is not None},
+            },
             chunks=chunks,
             source=store.chunks,
         )

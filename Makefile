@@ -1,0 +1,58 @@
+# One-line wrappers round the `lightstage` command; `make help` lists them.
+.DEFAULT_GOAL := help
+PYTHON ?= python3
+VENV   := .venv
+BIN    := $(VENV)/bin
+RUN    := $(BIN)/lightstage $(if $(STORE),--store "$(STORE)")
+
+.PHONY: help setup normals test lint format bench docs golden clean
+
+help:  ## list the targets
+	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 10
+	@echo "Variables: SESSION=name or capture folder, STORE=folder (default data/), PYTHON=python3"
+
+# What a user needs and what a developer needs have a lock file each, so that the first picture comes sooner.
+$(VENV)/.user: requirements.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "lightstage needs Python 3.11 or newer; $(PYTHON) is $$($(PYTHON) -V). Use make PYTHON=..."; exit 2; }
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	@touch $@
+
+$(VENV)/.developer: requirements-dev.lock $(VENV)/.user
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements-dev.lock
+	@touch $@
+
+setup: $(VENV)/.user  ## make the environment (the other targets do it themselves)
+
+normals: $(VENV)/.user  ## the main job: SESSION=name or folder, or the virtual rig's demo
+	@$(RUN) normals $(if $(SESSION),"$(SESSION)")
+
+test: $(VENV)/.developer  ## all tests
+	@$(BIN)/python -m pytest $(if $(TESTS),$(TESTS),-n 2)
+
+lint: $(VENV)/.developer  ## format, style, types, import contracts
+	@$(BIN)/ruff format --check .
+	@$(BIN)/ruff check .
+	@$(BIN)/mypy
+	@$(BIN)/lint-imports --no-cache | tail -12
+
+format: $(VENV)/.developer  ## format the code
+	@$(BIN)/ruff format .
+	@$(BIN)/ruff check --fix .
+
+bench: $(VENV)/.developer  ## every figure of README and docs, measured anew
+	@$(BIN)/python -m benchmarks.kernels
+	@$(BIN)/python -m benchmarks.pipeline
+	@$(BIN)/python -m benchmarks.accuracy
+
+docs: $(VENV)/.developer  ## the figures and tables in docs/ (needs ../shared/data)
+	@$(BIN)/python -m benchmarks.accuracy
+
+golden: $(VENV)/.developer  ## accept new pinned digests (say why in the commit)
+	@$(BIN)/python -m pytest tests/dag/test_fingerprint.py --golden
+
+clean:  ## remove the environment and caches, not the store
+	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -not -path './data/*' -prune -exec rm -rf {} +

@@ -1,0 +1,11 @@
+"""The rig: its geometry, what drives its lights, and the virtual rig that stands in for all of it.
+
+Imports nothing of ours outside itself.
+
+    geodesic.py      where the lights are
+    gradients.py     what each light is driven with, per illumination
+    skin.py          what skin reflects, band by band
+    head.py          the subject: a head as a distance field
+    sensor.py        the cameras: response, dark, noise, bits
+    virtual_rig.py   all of it together: a capture folder with ground truth
+"""
