@@ -154,9 +154,9 @@ def run_session(options: argparse.Namespace, store: Store, screen: Screen, nodes
         results = publish_results(state, store, versions())
         elapsed = time.perf_counter() - watcher.began
     show_raw(plan.session, store)
-    store.scratch.leave()
     _say_skipped(state, screen)
     answer = remember(store, key, options.session, results)
+    store.scratch.leave()
     done = {name: (result.computed, result.seconds) for name, result in results.items()}
     return _tell(answer, store, screen, done, elapsed)
 

@@ -96,15 +96,21 @@ def why(state: State, name: str, store: Store) -> tuple[str, list[Reason]]:
             "no result stood before it",
             [],
         )
+    now_made, old_made = _lineage(state, name, how.folder, store), _lineage(state, name, before, store)
     for upper in _with_above(state, name):
-        now_folder = (
-            how.folder if upper == name else (made.get("above", {}).get(upper) or current(session, upper, store))
-        )
-        old_folder = before if upper == name else older.get("above", {}).get(upper)
-        reasons += _between(
-            upper, _read(session, upper, old_folder, store), _read(session, upper, now_folder, store)
-        )
+        reasons += _between(upper, old_made.get(upper, {}), now_made.get(upper, {}))
     return f"{name} is fresh; against the result before it ({before}) these inputs changed", reasons
+
+
+def _lineage(state: State, name: str, folder: str, store: Store) -> dict[str, Mapping[str, Any]]:
+    """How a result was made, and those that it was made from, by node."""
+    session = state.plan.session.name
+    folders, made = {name: folder}, {}
+    for node in reversed(_with_above(state, name)):
+        if node in folders:
+            made[node] = provenance(session, node, folders[node], store) or {}
+            folders |= {upper: f for upper, f in made[node].get("above", {}).items() if f is not None}
+    return made
 
 
 def _with_above(state: State, name: str) -> list[str]:

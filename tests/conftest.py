@@ -1,0 +1,79 @@
+"""Fixtures, the captures in ../shared/data, and the option that accepts new pinned digests."""
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from store.root import Store
+from tests.scenes import sphere_capture
+
+REPOSITORY = Path(__file__).resolve().parent.parent
+DATA = Path(os.environ.get("LIGHTSTAGE_TEST_DATA", REPOSITORY.parent / "shared" / "data"))
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--golden", action="store_true", help="write the pinned digests anew")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    if DATA.is_dir():
+        return
+    for item in items:
+        if "data" in item.keywords:
+            item.add_marker(pytest.mark.skip(reason=f"the captures are not here ({DATA}); set LIGHTSTAGE_TEST_DATA"))
+
+
+@pytest.fixture(scope="session")
+def data() -> Path:
+    return DATA
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    return Store(tmp_path / "store")
+
+
+@pytest.fixture
+def sphere(tmp_path: Path) -> Path:
+    """A small capture folder of a sphere, two cameras."""
+    return sphere_capture(tmp_path / "ball")
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a command said."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def json(self) -> Any:
+        return json.loads(self.out)
+
+
+@pytest.fixture
+def lightstage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Callable[..., Answer]:
+    """The command, in this process, on a store of the test's own."""
+    from cli.main import main
+
+    def call(*words: str | Path, store: Path = tmp_path / "store") -> Answer:
+        capsys.readouterr()
+        code = main(["--store", str(store), *map(str, words)])
+        said = capsys.readouterr()
+        return Answer(code, said.out, said.err)
+
+    return call
+
+
+def run_process(*words: str | Path, store: Path, **options: Any) -> subprocess.CompletedProcess[str]:
+    """The command in a process of its own."""
+    command = [sys.executable, "-m", "cli.main", "--store", str(store), *map(str, words)]
+    return subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, timeout=300, **options)

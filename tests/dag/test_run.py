@@ -1,0 +1,381 @@
+"""What a second run, a changed parameter, item or picture, a kill and a second process cost: only what they must."""
+
+import filecmp
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import xarray
+
+from store.root import Store
+from store.sessions import import_capture, read_session
+from tests.conftest import REPOSITORY, Answer, run_process
+from tests.scenes import one_camera_capture, sphere_capture
+
+Lightstage = Callable[..., Answer]
+
+
+def counts(answer: Answer) -> dict[str, tuple[int, int]]:
+    assert answer.code == 0, answer.err
+    return {name: (node["computed"], node["reused"]) for name, node in answer.json["nodes"].items()}
+
+
+def computed(answer: Answer) -> dict[str, int]:
+    return {name: done for name, (done, _) in counts(answer).items() if done}
+
+
+@pytest.fixture
+def ball(lightstage: Lightstage, sphere: Path) -> Path:
+    """The sphere, imported and run."""
+    assert lightstage("import", sphere).code == 0
+    assert computed(lightstage("run", "--session", "ball", "--json")) == {
+        "register": 7,
+        "split": 7,
+        "stack": 7,
+        "normals": 1,
+    }
+    return sphere
+
+
+def run(lightstage: Lightstage, *words: str) -> dict[str, int]:
+    return computed(lightstage("run", "--session", "ball", "--json", *words))
+
+
+def change_picture(folder: Path, name: str, by: int = 1) -> None:
+    picture = cv2.imread(str(folder / name), cv2.IMREAD_UNCHANGED)
+    picture[20:28, 20:28] += by
+    cv2.imwrite(str(folder / name), picture)
+
+
+def test_a_second_run_computes_nothing(lightstage: Lightstage, ball: Path) -> None:
+    assert run(lightstage) == {}
+
+
+def test_a_changed_parameter_costs_its_node_and_setting_it_back_costs_nothing(
+    lightstage: Lightstage, ball: Path
+) -> None:
+    first = lightstage("path", "normals", "--session", "ball").out
+    assert run(lightstage, "--set", "normals.method=ratio") == {"normals": 1}
+    assert lightstage("path", "normals", "--session", "ball").out != first
+    assert run(lightstage) == {}
+    assert lightstage("path", "normals", "--session", "ball").out == first
+    assert run(lightstage, "--set", "normals.method=auto") == {}
+
+
+def test_one_changed_picture_costs_its_dependants(lightstage: Lightstage, ball: Path) -> None:
+    change_picture(ball, "0004_Xc_576nm_CAM1.png")
+    lightstage("import", ball)
+    assert run(lightstage) == {"register": 1, "split": 1, "stack": 1, "normals": 1}
+
+
+def test_equal_output_stops_the_cascade_in_the_same_run(lightstage: Lightstage, ball: Path) -> None:
+    """Normals of the diffuse component do not read the parallel camera's picture."""
+    change_picture(ball, "0004_Xc_576nm_CAM0.png")
+    lightstage("import", ball)
+    assert run(lightstage) == {"register": 1, "split": 1, "stack": 1}
+
+
+def test_a_first_stage_that_ran_again_with_identical_output_computes_nothing_below(
+    lightstage: Lightstage, ball: Path
+) -> None:
+    """There is no flat, so its smoothing is in register's key and not in its numbers."""
+    assert run(lightstage, "--set", "register.flat_smoothing_percent=3") == {"register": 7}
+
+
+def test_a_changed_homography_runs_register_again_and_an_equal_one_does_not(
+    lightstage: Lightstage, ball: Path, tmp_path: Path
+) -> None:
+    item = tmp_path / "h.yaml"
+    item.write_text("item: homography\nfrom: CAM0\nto: CAM1\nmatrix: [[1.0,0.0,-1.0],[0,1.0,0],[0,0,1e0]]\nrig: york\n")
+    assert run(lightstage, "--calibration", f"homography={item}") == {}
+    # the same map, scaled and the other way round
+    item.write_text("item: homography\nfrom: CAM1\nto: CAM0\nmatrix: [[2, 0, 2], [0, 2, 0], [0, 0, 2]]\n")
+    assert run(lightstage, "--calibration", f"homography={item}") == {}
+    item.write_text("item: homography\nfrom: CAM0\nto: CAM1\nmatrix: [[1, 0, -1.5], [0, 1, 0], [0, 0, 1]]\n")
+    # all of register; the diffuse chunks come out equal, but each split block also reads the other camera
+    assert run(lightstage, "--calibration", f"homography={item}") == {"register": 7, "split": 7, "stack": 7}
+    assert run(lightstage) == {}
+
+
+def test_a_preview_is_reused_by_the_full_run(lightstage: Lightstage, sphere: Path) -> None:
+    lightstage("import", sphere)
+    preview = lightstage("run", "--session", "ball", "--json", "--frames", "0:3")
+    assert computed(preview) == {"register": 3, "split": 3, "stack": 3}
+    assert preview.json["nodes"]["normals"]["path"] is None
+    assert "each of its blocks needs frames outside 0:3" in preview.err
+    partial = xarray.open_zarr(preview.json["nodes"]["register"]["path"], chunks=None)
+    assert np.isfinite(partial.signal.values[:3]).any(axis=(1, 2, 3, 4)).all()
+    assert np.isnan(partial.signal.values[3:]).all()
+    status = lightstage("status", "--session", "ball", "--json").json["sessions"]["ball"]
+    assert {name: node["status"] for name, node in status.items()} == {
+        "register": "partial",
+        "split": "partial",
+        "stack": "partial",
+        "normals": "missing",
+    }
+    assert counts(lightstage("run", "--session", "ball", "--json"))["register"] == (4, 3)
+
+
+def test_status_and_why_tell_the_truth(lightstage: Lightstage, ball: Path) -> None:
+    def status(*words: str) -> dict[str, str]:
+        nodes = lightstage("status", "--session", "ball", "--json", *words).json["sessions"]["ball"]
+        return {name: node["status"] for name, node in nodes.items()}
+
+    assert set(status().values()) == {"fresh"}
+    assert status("--set", "normals.method=minimal")["normals"] == "stale"
+    why = lightstage("why", "normals", "--session", "ball", "--json", "--set", "normals.method=minimal").json
+    reasons = {r["what"].split(" (")[0]: (r["old"], r["new"]) for r in why["reasons"]}
+    assert reasons["parameters.method"] == ("auto", "minimal")
+    change_picture(ball, "0004_Xc_576nm_CAM1.png")
+    lightstage("import", ball)
+    assert set(status().values()) == {"stale"}
+    why = lightstage("why", "normals", "--session", "ball", "--json").json
+    assert {(r["node"], r["what"]) for r in why["reasons"]} == {("register", "input of frame 4 (Xc), 576 nm")}
+    run(lightstage)
+    why = lightstage("why", "normals", "--session", "ball", "--json").json
+    assert "is fresh" in why["summary"]
+    assert ("register", "input of frame 4 (Xc), 576 nm") in {(r["node"], r["what"]) for r in why["reasons"]}
+
+
+def test_a_dry_run_says_what_a_run_does_and_writes_nothing(lightstage: Lightstage, ball: Path, tmp_path: Path) -> None:
+    before = sorted(p for p in (tmp_path / "store").rglob("*"))
+    dry = lightstage("run", "--session", "ball", "--json", "--dry-run", "--set", "split.x=1")
+    assert dry.code == 2
+    dry = lightstage("run", "--session", "ball", "--json", "--dry-run", "--set", "normals.method=ratio").json["nodes"]
+    assert dry["normals"] == {"compute": 1, "check": 0, "reuse": 0}
+    assert dry["stack"] == {"compute": 0, "check": 0, "reuse": 7}
+    assert sorted(p for p in (tmp_path / "store").rglob("*")) == before
+
+
+def test_results_are_plain_zarr_with_their_provenance(lightstage: Lightstage, ball: Path) -> None:
+    path = lightstage("path", "normals", "--session", "ball").out.strip()
+    opened = xarray.open_zarr(path, chunks=None)
+    assert opened.normal.dims == ("tracking", "band", "xyz", "y", "x")
+    assert opened.albedo.dims == ("tracking", "band", "y", "x")
+    assert opened.attrs["method"] == "difference"
+    stack = xarray.open_zarr(lightstage("path", "stack", "--session", "ball").out.strip(), chunks=None)
+    assert stack.radiance.dims == ("illumination", "band", "component", "y", "x")
+    assert set(stack.attrs["calibration_items"]) == {"bands"}
+    register = xarray.open_zarr(lightstage("path", "register", "--session", "ball").out.strip(), chunks=None)
+    assert register.signal.dims == ("frame", "band", "polarisation", "y", "x")
+    assert register.valid.dims == ("frame", "band", "y", "x")
+    assert "vignetting" in register.attrs["calibration_absent"]
+    split = xarray.open_zarr(lightstage("path", "split", "--session", "ball").out.strip(), chunks=None)
+    assert list(split.component.values) == ["diffuse", "specular"]
+    assert 0 <= split.attrs["negative_specular_fraction"] < 1
+
+
+def same_trees(a: Path, b: Path) -> bool:
+    compared = filecmp.dircmp(a, b)
+    if compared.left_only or compared.right_only or compared.funny_files:
+        return False
+    _, different, errors = filecmp.cmpfiles(a, b, compared.common_files, shallow=False)
+    return not different and not errors and all(same_trees(a / name, b / name) for name in compared.common_dirs)
+
+
+def groups(store: Path) -> dict[str, Path]:
+    return {node: next((store / "results" / "s" / node).glob("*-*/")) for node in ("register", "split", "stack", "normals")}
+
+
+@pytest.mark.slow
+def test_killed_at_random_moments_and_run_again_it_is_as_if_undisturbed(tmp_path: Path) -> None:
+    folder = sphere_capture(tmp_path / "s", size=200, bands=(434, 576, 655))
+    imported = tmp_path / "imported"
+    import_capture(folder, Store(imported))
+    Store(imported).scratch.leave()
+    undisturbed = shutil.copytree(imported, tmp_path / "undisturbed", symlinks=True)
+    assert run_process("run", "--session", "s", store=undisturbed).returncode == 0
+    total = 3 * 21 + 3
+    generator = random.Random(5)
+    for i in range(10):
+        store = shutil.copytree(imported, tmp_path / f"killed{i}", symlinks=True)
+        blocks = store / "cache" / "blocks"
+        command = [sys.executable, "-m", "cli.main", "--store", str(store), "run", "--session", "s"]
+        process = subprocess.Popen(command, cwd=REPOSITORY, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        wanted, deadline = generator.randrange(total), time.monotonic() + 60
+        while len(list(blocks.rglob("*.json"))) < wanted and process.poll() is None and time.monotonic() < deadline:
+            time.sleep(0.001)
+        time.sleep(generator.uniform(0, 0.02))
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        known = len(list(blocks.rglob("*.json")))
+        again = run_process("run", "--session", "s", "--json", store=store)
+        assert again.returncode == 0, again.stderr
+        # nothing that was recorded is computed again: only what was in flight is lost
+        done = sum(node["computed"] for node in Answer(0, again.stdout, "").json["nodes"].values())
+        assert known + done == total
+        for node, path in groups(store).items():
+            assert same_trees(path, groups(undisturbed)[node]), node
+        assert not list((store / "tmp").glob("*"))
+        assert not list(store.rglob("*.part*"))
+        assert run_process("verify", store=store).returncode == 0
+
+
+@pytest.mark.slow
+def test_two_runs_at_once_agree(tmp_path: Path) -> None:
+    folder = sphere_capture(tmp_path / "s", size=120, bands=(434, 576))
+    alone, shared = Store(tmp_path / "a"), Store(tmp_path / "b")
+    import_capture(folder, alone)
+    import_capture(folder, shared)
+    assert run_process("run", "--session", "s", store=alone.root).returncode == 0
+    command = [sys.executable, "-m", "cli.main", "--store", str(shared.root), "run", "--session", "s"]
+    processes = [subprocess.Popen(command, cwd=REPOSITORY, stdout=subprocess.DEVNULL) for _ in range(2)]
+    assert [process.wait(120) for process in processes] == [0, 0]
+    for node, path in groups(shared.root).items():
+        assert len(list(path.parent.glob("*-*/"))) == 1
+        assert same_trees(path, groups(alone.root)[node]), node
+
+
+@pytest.mark.slow
+def test_processes_give_the_same_bits_as_threads(tmp_path: Path) -> None:
+    folder = sphere_capture(tmp_path / "s", bands=(434, 576))
+    threads, workers = Store(tmp_path / "a"), Store(tmp_path / "b")
+    import_capture(folder, threads)
+    import_capture(folder, workers)
+    assert run_process("run", "--session", "s", store=threads.root).returncode == 0
+    done = run_process("run", "--session", "s", "--workers", "2", "--json", store=workers.root)
+    assert done.returncode == 0, done.stderr
+    assert Answer(0, done.stdout, "").json["nodes"]["register"]["computed"] == 14
+    for node, path in groups(workers.root).items():
+        assert same_trees(path, groups(threads.root)[node]), node
+
+
+@pytest.mark.slow
+def test_a_cached_run_imports_no_stage_no_dask_and_no_zarr(tmp_path: Path, sphere: Path) -> None:
+    store = tmp_path / "store"
+    run_process("import", sphere, store=store)
+    assert run_process("run", "--session", "ball", store=store).returncode == 0
+    code = (
+        "import sys\nfrom cli.main import main\n"
+        f"assert main(['--store', {str(store)!r}, 'run', '--session', 'ball', '--json']) == 0\n"
+        "heavy = {'dask', 'zarr', 'numpy', 'numba', 'cv2', 'xarray', 'pydantic', 'stages', 'yaml', 'rich'}\n"
+        "found = heavy & {name.split('.')[0] for name in sys.modules}\n"
+        "assert not found, found\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=REPOSITORY, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_damaged_result_is_found_quarantined_and_made_again(lightstage: Lightstage, ball: Path, tmp_path: Path) -> None:
+    store = tmp_path / "store"
+    folder = Path(lightstage("path", "stack", "--session", "ball").out.strip())
+    victim = folder / "radiance" / "c" / "2" / "0" / "0" / "0" / "0"
+    good = victim.read_bytes()
+    data = bytearray(good)
+    data[len(data) // 2] ^= 4
+    with open(victim, "r+b") as file:  # in place, as a failing disk does: the blob is the same file
+        file.write(data)
+    verified = lightstage("verify", "--json")
+    assert verified.code == 1
+    (damage,) = verified.json["damaged"]
+    assert "ball/stack, array radiance, chunk 2/0/0/0/0" in damage["belongs_to"]
+    assert len(list((store / "quarantine").iterdir())) == 1
+    assert run(lightstage) == {"stack": 1}
+    assert victim.read_bytes() == good
+    assert lightstage("verify").code == 0
+
+
+def test_a_file_that_replaced_a_link_is_found_too(lightstage: Lightstage, ball: Path) -> None:
+    folder = Path(lightstage("path", "stack", "--session", "ball").out.strip())
+    victim = folder / "radiance" / "c" / "2" / "0" / "0" / "0" / "0"
+    data = bytearray(victim.read_bytes())
+    data[-1] ^= 1
+    victim.unlink()
+    victim.write_bytes(data)
+    assert lightstage("verify").code == 1
+    assert run(lightstage) == {}
+    assert folder.is_dir()
+    assert lightstage("verify").code == 0
+
+
+def test_damage_met_on_the_way_is_healed_in_the_same_run(lightstage: Lightstage, ball: Path, tmp_path: Path) -> None:
+    folder = Path(lightstage("path", "stack", "--session", "ball").out.strip())
+    victim = folder / "radiance" / "c" / "1" / "0" / "0" / "0" / "0"
+    data = bytearray(victim.read_bytes())
+    data[-1] ^= 1
+    with open(victim, "r+b") as file:
+        file.write(data)
+    done = lightstage("run", "--session", "ball", "--json", "--set", "normals.method=ratio")
+    assert computed(done) == {"stack": 1, "normals": 1}
+    assert "is damaged" in done.err
+
+
+def test_a_damaged_raw_picture_names_the_folder_to_import(lightstage: Lightstage, ball: Path, tmp_path: Path) -> None:
+    store = Store(tmp_path / "store")
+    ref = read_session("ball", store).images[3][0][1]
+    path = store.chunks.path(ref.blob)
+    data = bytearray(path.read_bytes())
+    data[-1] ^= 1
+    path.write_bytes(data)
+    verified = lightstage("verify")
+    assert verified.code == 1
+    assert f"import {ball} again" in verified.out
+    assert "frame 3 (Z)" in verified.out
+    assert lightstage("import", ball).code == 0
+    assert lightstage("verify").code == 0
+    assert run(lightstage) == {}
+
+
+def test_gc_frees_what_nothing_uses_and_nothing_else(lightstage: Lightstage, ball: Path) -> None:
+    run(lightstage, "--set", "normals.method=ratio")
+    run(lightstage)
+    assert lightstage("gc", "--json").json["bytes"] == 0  # all of it is younger than the grace period
+    dry = lightstage("gc", "--grace", "0s", "--dry-run", "--json").json
+    assert dry["results"] == 1
+    assert dry["bytes"] > 0
+    freed = lightstage("gc", "--grace", "0s", "--json").json
+    assert freed["bytes"] == dry["bytes"]
+    assert lightstage("verify").code == 0
+    assert run(lightstage) == {}
+    assert run(lightstage, "--set", "normals.method=ratio") == {"normals": 1}
+
+
+def test_a_kernels_refusal_names_node_and_block(lightstage: Lightstage, ball: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import stages.register
+    from dag.stage import StageError
+
+    def refuse(*_: Any, **__: Any) -> Any:
+        raise StageError("the two cameras disagree")
+
+    monkeypatch.setattr(stages.register, "STAGE", replace(stages.register.STAGE, kernel=refuse))
+    change_picture(ball, "0004_Xc_576nm_CAM1.png")
+    lightstage("import", ball)
+    done = lightstage("run", "--session", "ball")
+    assert done.code == 1
+    assert "register, frame 4 (Xc), 576 nm: the two cameras disagree" in done.err
+
+
+def test_a_performance_gives_normals_at_every_tracking_frame_with_a_full_set(
+    lightstage: Lightstage, tmp_path: Path
+) -> None:
+    sequence = "X Z C Y Xc C Zc Yc C X Z C".split()
+    folder = one_camera_capture(tmp_path / "p", sequence, frame_rate_hz=60.0)
+    lightstage("import", folder)
+    done = lightstage("run", "--session", "p", "--json")
+    assert done.code == 0, done.err
+    opened = xarray.open_zarr(done.json["nodes"]["normals"]["path"], chunks=None)
+    # windows: X Z [C] Y Xc; Y Xc [C] Zc Yc; Zc Yc [C] X Z; X Z [C] has no full set
+    assert opened.tracking.values.tolist() == [2, 5, 8]
+    assert opened.attrs["method"] == "minimal"
+    assert opened.attrs["base"] == "X, Y, Z"
+    part = lightstage("run", "--session", "p", "--json", "--frames", "0:6").json["nodes"]["normals"]
+    assert (part["computed"], part["reused"]) == (0, 1)
+
+
+def test_memory_of_a_store_moves_with_it(lightstage: Lightstage, ball: Path, tmp_path: Path) -> None:
+    """Nothing in the store names its own place."""
+    moved = tmp_path / "moved"
+    shutil.move(tmp_path / "store", moved)
+    done = lightstage("run", "--session", "ball", "--json", store=moved)
+    assert computed(done) == {}
+    assert lightstage("verify", store=moved).code == 0

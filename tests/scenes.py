@@ -1,0 +1,110 @@
+"""Truth for tests, made without any kernel and without `hw`: closed forms, and capture folders written by hand."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+GRADIENTS = ("X", "Y", "Z", "Xc", "Yc", "Zc")
+STATIC = ("C", *GRADIENTS)
+Array = NDArray[Any]
+
+
+def sphere_normals(size: int = 48) -> tuple[Array, Array]:
+    """(xyz, y, x) unit normals of a sphere that fills the picture, seen from +z, and its mask; y is up."""
+    y, x = np.mgrid[0:size, 0:size]
+    nx, ny = (x - (size - 1) / 2) / (size / 2), -(y - (size - 1) / 2) / (size / 2)
+    square = nx**2 + ny**2
+    mask = square < 0.95
+    nz = np.sqrt(np.clip(1 - square, 0, None))
+    return np.where(mask, np.stack([nx, ny, nz]), np.array([0.0, 0, 1])[:, None, None]), mask
+
+
+def ideal_gradient(normals: Array, illumination: str, albedo: float | Array = 1.0) -> Array:
+    """Lambertian radiance under a full sphere of light: r_c (1/2 + n_a / 3), complement r_c (1/2 - n_a / 3)."""
+    if illumination == "C":
+        return albedo * np.ones(normals.shape[1:])
+    sign = -1 if illumination.endswith("c") else 1
+    return albedo * (0.5 + sign * normals["XYZ".index(illumination[0])] / 3)
+
+
+def angle_deg(normals: Array, truth: Array) -> Array:
+    """Angle between two fields of vectors (xyz, y, x), degrees; exact also for small angles."""
+    a = normals / np.linalg.norm(normals, axis=0)
+    b = truth / np.linalg.norm(truth, axis=0)
+    return np.degrees(2 * np.arctan2(np.linalg.norm(a - b, axis=0), np.linalg.norm(a + b, axis=0)))
+
+
+def decoded(normal: Array) -> Array:
+    """Stored int16 normals as floats, NaN where there is none."""
+    return np.where(normal == -32768, np.nan, normal / 32767.0)
+
+
+def write_capture(
+    folder: Path,
+    pictures: Mapping[tuple[int, float, str], Array],
+    *,
+    illumination: Sequence[str],
+    items: Mapping[str, Mapping[str, Any]] | None = None,
+    item_pictures: Mapping[str, Array] | None = None,
+    **description: Any,
+) -> Path:
+    """A capture folder: pictures by (frame, band, polarisation), and its description; returns the folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    cameras = {"parallel": "CAM0", "cross": "CAM1", "unpolarised": "CAM"}
+    polarisations = sorted({p for _, _, p in pictures}, key=list(cameras).index)
+    bands = list(dict.fromkeys(band for _, band, _ in pictures))
+    text = {
+        "format": "lightstage-capture/1",
+        "session": folder.name,
+        "bits": 10,
+        "cameras": {p: cameras[p] for p in polarisations},
+        "bands_nm": bands,
+        "files": "{frame:04d}_{illumination}_{band}nm_{camera}.png",
+        "frames": [{"illumination": name} for name in illumination],
+        **({"calibration": "calibration/"} if items else {}),
+        **description,
+    }
+    (folder / "capture.yaml").write_text(yaml.safe_dump(text, sort_keys=False))
+    for (frame, band, polarisation), picture in pictures.items():
+        name = f"{frame:04d}_{illumination[frame]}_{band:g}nm_{cameras[polarisation]}.png"
+        assert cv2.imwrite(str(folder / name), picture)
+    if items:
+        (folder / "calibration").mkdir(exist_ok=True)
+        for kind, item in items.items():
+            (folder / "calibration" / f"{kind}.yaml").write_text(yaml.safe_dump(dict(item), sort_keys=False))
+        for name, picture in (item_pictures or {}).items():
+            assert cv2.imwrite(str(folder / "calibration" / name), picture)
+    return folder
+
+
+def sphere_capture(folder: Path, *, size: int = 48, bands: Sequence[float] = (576,), seed: int = 0, **more: Any) -> Path:
+    """A small two-camera capture of a sphere under ideal gradients, with a homography that shifts by a pixel."""
+    generator = np.random.default_rng(seed)
+    normals, _ = sphere_normals(size)
+    pictures = {}
+    for i, name in enumerate(STATIC):
+        for band in bands:
+            diffuse = 600 * ideal_gradient(normals, name) + generator.normal(0, 2, (size, size))
+            cross = diffuse / 2
+            parallel = cross + 100 * ideal_gradient(normals, name)
+            pictures[i, band, "cross"] = np.round(np.clip(cross, 0, 1023)).astype(np.uint16)
+            pictures[i, band, "parallel"] = np.round(np.clip(np.roll(parallel, 1, axis=1), 0, 1023)).astype(np.uint16)
+    shift = {"item": "homography", "from": "CAM0", "to": "CAM1", "matrix": [[1, 0, -1], [0, 1, 0], [0, 0, 1]]}
+    scale = {"item": "bands", "bands": [{"centre_nm": band, "exposure": 3.0, "transmission": 0.9} for band in bands]}
+    return write_capture(folder, pictures, illumination=STATIC, items={"homography": shift, "bands": scale}, **more)
+
+
+def one_camera_capture(
+    folder: Path, illumination: Sequence[str], *, polarisation: str = "cross", shape: tuple[int, int] = (12, 16), **more: Any
+) -> Path:
+    """A tiny capture with one camera; every picture has its own numbers."""
+    generator = np.random.default_rng(1)
+    pictures = {
+        (i, 0, polarisation): generator.integers(50, 900, shape).astype(np.uint16) for i in range(len(illumination))
+    }
+    return write_capture(folder, pictures, illumination=illumination, **more)
