@@ -14,7 +14,6 @@ for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUM
 import argparse  # noqa: E402
 from collections.abc import Sequence  # noqa: E402
 from importlib import import_module  # noqa: E402
-from pathlib import Path  # noqa: E402
 from typing import NoReturn  # noqa: E402
 
 from cli.show import Screen  # noqa: E402
@@ -39,8 +38,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"lightstage {VERSION}")
     parser.add_argument(
         "--store",
-        type=Path,
-        default=Path(os.environ.get("LIGHTSTAGE_STORE", "data")),
+        default=os.environ.get("LIGHTSTAGE_STORE", "data"),
         metavar="DIR",
         help="the folder that holds everything (default: $LIGHTSTAGE_STORE, or data)",
     )

@@ -105,7 +105,8 @@ def why(state: State, name: str, store: Store) -> tuple[str, list[Reason]]:
 def _lineage(state: State, name: str, folder: str, store: Store) -> dict[str, Mapping[str, Any]]:
     """How a result was made, and those that it was made from, by node."""
     session = state.plan.session.name
-    folders, made = {name: folder}, {}
+    folders = {name: folder}
+    made: dict[str, Mapping[str, Any]] = {}
     for node in reversed(_with_above(state, name)):
         if node in folders:
             made[node] = provenance(session, node, folders[node], store) or {}

@@ -80,15 +80,13 @@ def choose(have: Sequence[str], *, method: str = "auto", base: str = "auto", cor
         if chosen == "minimal"
         else ""
     )
-    wanted = table(chosen, axis, [*GRADIENTS, "C"] if correct == "qp" else have).pictures
-    missing = [name for name in wanted if name not in present]
-    if missing:
+    missing = [name for name in (*GRADIENTS, "C") if name not in present]
+    if correct == "qp" and missing:
         raise StageError(
             f"correct: qp needs {', '.join((*GRADIENTS, 'C'))}; {', '.join(missing)} missing; "
             f"correct: none works with {chosen}"
         )
-    if correct == "qp":
-        wanted = (*GRADIENTS, "C")
+    wanted = table(str(chosen), axis, have, qp=correct == "qp").pictures
     return Choice(str(chosen), axis, wanted)
 
 
@@ -153,9 +151,9 @@ def normals(
         assert lights is not None
         result = one_light.solve(pictures, lights)
     else:
-        method = table(choice.method, choice.base, names)
+        method = table(choice.method, choice.base, names, qp=correct == "qp")
         at_hand = [pictures[list(names).index(name)] for name in method.pictures]
-        result = spherical_gradients.solve(at_hand, method, qp=correct == "qp", view=view)
+        result = spherical_gradients.solve(at_hand, method, view=view)
     albedo = result.constant
     if diffuse_constant:
         constants = [[radiance[bands * count + b]] for b in range(bands)]
@@ -400,10 +398,10 @@ STAGE = Stage(
             ("tracking", "band", "xyz", "y", "x"),
             "int16",
             whole=("xyz", "y", "x"),
-            attrs={"scale_factor": 1 / STEPS, "_FillValue": FILL},
+            attrs={"scale_factor": 1 / STEPS, "_FillValue": FILL, "units": "unit vector"},
         ),
-        "albedo": Output(("tracking", "band", "y", "x"), "float32"),
-        "norm": Output(("tracking", "band", "y", "x"), "float32"),
+        "albedo": Output(("tracking", "band", "y", "x"), "float32", attrs={"units": "radiance"}),
+        "norm": Output(("tracking", "band", "y", "x"), "float32", attrs={"units": "1"}),
         "valid": Output(("tracking", "band", "y", "x"), "bool"),
     },
     blocks=("tracking", "band"),

@@ -44,9 +44,11 @@ class Table(NamedTuple):
     """(xyz, 4): factors of r_a, r_a', r_c and r_b + r_b' in g."""
     constant: NDArray[np.float32]
     """(3,): factors of r_c, r_b + r_b' and the sum of all six gradients in the constant picture."""
+    qp: bool
+    """Whether the direction is corrected afterwards."""
 
 
-def table(method: str, base: str, have: Sequence[str]) -> Table:
+def table(method: str, base: str, have: Sequence[str], *, qp: bool = False) -> Table:
     """The table of a method.
 
     Args:
@@ -54,6 +56,7 @@ def table(method: str, base: str, have: Sequence[str]) -> Table:
         base: the axis whose pair a minimal set is built on; ignored by the others.
         have: the illuminations at hand, at least those that the method needs. Only those that it uses are
             named in the result; C is used for r_c where it is there.
+        qp: correct the direction, which needs all six gradients and C.
     """
     direction = np.zeros((3, 4), np.float32)
     used: list[str] = ["C"] if "C" in have else []
@@ -78,8 +81,12 @@ def table(method: str, base: str, have: Sequence[str]) -> Table:
     else:
         constant = (0, 0, 1 / 3) if method == "difference" else (0, 1, 0)
     pair = (base, base + "c") if method == "minimal" else (used[0], used[0])
+    if qp:
+        slots = {name: name for name in GRADIENTS}
+        used += [name for name in GRADIENTS if name not in used]
     order = [slots[name] for name in GRADIENTS] + ["C" if "C" in have else used[0], *pair]
-    return Table(tuple(used), tuple(used.index(name) for name in order), direction, np.array(constant, np.float32))
+    indices = tuple(used.index(name) for name in order)
+    return Table(tuple(used), indices, direction, np.array(constant, np.float32), qp)
 
 
 class Normals(NamedTuple):
@@ -110,7 +117,6 @@ def solve(
     pictures: Sequence[NDArray[Any]],
     method: Table,
     *,
-    qp: bool = False,
     view: NDArray[np.float32] | None = None,
     out: Normals | None = None,
 ) -> Normals:
@@ -119,7 +125,6 @@ def solve(
     Args:
         pictures: (y, x), one dtype, any linear unit, in the order of `method.pictures`; NaN where not valid.
         method: from `table`.
-        qp: correct the direction; the table must read all six gradients and C.
         view: (xyz, y, x), unit vectors from the point to the camera, when the pictures are specular.
         out: arrays to write into.
     """
@@ -130,7 +135,7 @@ def solve(
     nx, ny, nz = out.normal.reshape(3, -1)
     towards = None if view is None else np.ascontiguousarray(view, np.float32).reshape(3, -1)
     rest = (out.constant.reshape(-1), out.norm.reshape(-1), out.valid.reshape(-1))
-    _solve(*slots, method.direction, method.constant, qp or None, towards, nx, ny, nz, *rest)
+    _solve(*slots, method.direction, method.constant, method.qp or None, towards, nx, ny, nz, *rest)
     return out
 
 

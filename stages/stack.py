@@ -103,7 +103,11 @@ STAGE = Stage(
     params=StackParams,
     inputs={"signal": Input("signal", ("frame", "band", "component", "y", "x"), "group")},
     calibration={"bands": Needs(why="radiance is in counts, and bands do not compare")},
-    outputs={"radiance": Output(("illumination|frame", "band", "component", "y", "x"), "float32")},
+    outputs={
+        "radiance": Output(
+            ("illumination|frame", "band", "component", "y", "x"), "float32", attrs={"units": "radiance"}
+        )
+    },
     blocks=("illumination|frame", "band"),
     arrange=_arrange,
     context=_context,

@@ -24,7 +24,7 @@ class Store:
     <root>/tmp/                  what is being written
     """
 
-    def __init__(self, root: Path, *, create: bool = True) -> None:
+    def __init__(self, root: str | Path, *, create: bool = True) -> None:
         """Open the store at `root`, and make it when it is not there.
 
         Raises:
@@ -46,7 +46,7 @@ class Store:
         marker = self.root / "store.json"
         try:
             found = json.loads(marker.read_bytes()).get("format")
-        except FileNotFoundError:
+        except (FileNotFoundError, NotADirectoryError):
             if self.root.exists() and not self.root.is_dir():
                 raise RequestError(f"--store {self.root} is a file; a folder is needed") from None
             if self.root.is_dir() and any(entry.name != "tmp" for entry in self.root.iterdir()):

@@ -27,7 +27,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         return
     for item in items:
         if "data" in item.keywords:
-            item.add_marker(pytest.mark.skip(reason=f"the captures are not here ({DATA}); set LIGHTSTAGE_TEST_DATA"))
+            item.add_marker(
+                pytest.mark.skip(reason=f"the captures are not here ({DATA}); set LIGHTSTAGE_TEST_DATA")
+            )
 
 
 @pytest.fixture(scope="session")
@@ -64,7 +66,7 @@ def lightstage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Callable[.
     """The command, in this process, on a store of the test's own."""
     from cli.main import main
 
-    def call(*words: str | Path, store: Path = tmp_path / "store") -> Answer:
+    def call(*words: str | Path, store: str | Path = tmp_path / "store") -> Answer:
         capsys.readouterr()
         code = main(["--store", str(store), *map(str, words)])
         said = capsys.readouterr()

@@ -82,7 +82,9 @@ def write_capture(
     return folder
 
 
-def sphere_capture(folder: Path, *, size: int = 48, bands: Sequence[float] = (576,), seed: int = 0, **more: Any) -> Path:
+def sphere_capture(
+    folder: Path, *, size: int = 48, bands: Sequence[float] = (576,), seed: int = 0, **more: Any
+) -> Path:
     """A small two-camera capture of a sphere under ideal gradients, with a homography that shifts by a pixel."""
     generator = np.random.default_rng(seed)
     normals, _ = sphere_normals(size)
@@ -93,14 +95,24 @@ def sphere_capture(folder: Path, *, size: int = 48, bands: Sequence[float] = (57
             cross = diffuse / 2
             parallel = cross + 100 * ideal_gradient(normals, name)
             pictures[i, band, "cross"] = np.round(np.clip(cross, 0, 1023)).astype(np.uint16)
-            pictures[i, band, "parallel"] = np.round(np.clip(np.roll(parallel, 1, axis=1), 0, 1023)).astype(np.uint16)
+            pictures[i, band, "parallel"] = np.round(np.clip(np.roll(parallel, 1, axis=1), 0, 1023)).astype(
+                np.uint16
+            )
     shift = {"item": "homography", "from": "CAM0", "to": "CAM1", "matrix": [[1, 0, -1], [0, 1, 0], [0, 0, 1]]}
-    scale = {"item": "bands", "bands": [{"centre_nm": band, "exposure": 3.0, "transmission": 0.9} for band in bands]}
+    scale = {
+        "item": "bands",
+        "bands": [{"centre_nm": band, "exposure": 3.0, "transmission": 0.9} for band in bands],
+    }
     return write_capture(folder, pictures, illumination=STATIC, items={"homography": shift, "bands": scale}, **more)
 
 
 def one_camera_capture(
-    folder: Path, illumination: Sequence[str], *, polarisation: str = "cross", shape: tuple[int, int] = (12, 16), **more: Any
+    folder: Path,
+    illumination: Sequence[str],
+    *,
+    polarisation: str = "cross",
+    shape: tuple[int, int] = (12, 16),
+    **more: Any,
 ) -> Path:
     """A tiny capture with one camera; every picture has its own numbers."""
     generator = np.random.default_rng(1)

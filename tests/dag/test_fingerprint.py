@@ -63,7 +63,13 @@ def test_comments_formatting_docstrings_and_annotations_do_not_count(edited: str
 
 @pytest.mark.parametrize(
     ("old", "new"),
-    [("sqrt", "cbrt"), ("1.0", "1.5"), ("LIMIT = 3", "LIMIT = 4"), ("* sigma", "/ sigma"), ("import numpy", "import cupy")],
+    [
+        ("sqrt", "cbrt"),
+        ("1.0", "1.5"),
+        ("LIMIT = 3", "LIMIT = 4"),
+        ("* sigma", "/ sigma"),
+        ("import numpy", "import cupy"),
+    ],
 )
 def test_what_can_change_numbers_counts(old: str, new: str) -> None:
     assert code_digest(CODE.replace(old, new)) != code_digest(CODE)

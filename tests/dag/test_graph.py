@@ -40,7 +40,12 @@ def test_a_good_one_is_ordered_whatever_the_order_in_the_file(tmp_path: Path) ->
     ("old", "new", "start", "parts"),
     [
         ("uses: split", "uses: spilt", "p:4:14:", ["no stage 'spilt'", "did you mean 'split'"]),
-        ("{method: ratio}", "{metod: ratio}", "p:6:51:", ["unknown key 'metod'", "did you mean 'method'", "normals"]),
+        (
+            "{method: ratio}",
+            "{metod: ratio}",
+            "p:6:51:",
+            ["unknown key 'metod'", "did you mean 'method'", "normals"],
+        ),
         ("ratio}", "ration}", "p:6:51:", ["method", "'ratio'", "'ration'"]),
         ("method: ratio", "fuse: 3", "p:6:51:", ["fuse", "found 3"]),
         ("from: split", "from: splot", "p:5:27:", ["reads 'splot'", "did you mean 'split'"]),
@@ -56,7 +61,9 @@ def test_mistakes(tmp_path: Path, old: str, new: str, start: str, parts: list[st
 
 
 def test_out_of_bounds(tmp_path: Path) -> None:
-    text = GOOD.replace("register, from: capture}", "register, from: capture, params: {flat_smoothing_percent: -2}}")
+    text = GOOD.replace(
+        "register, from: capture}", "register, from: capture, params: {flat_smoothing_percent: -2}}"
+    )
     (line,) = refused(tmp_path, text)
     assert line.startswith("p:3:54: flat_smoothing_percent:")
     assert "greater than 0" in line

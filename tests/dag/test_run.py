@@ -1,4 +1,4 @@
-"""What a second run, a changed parameter, item or picture, a kill and a second process cost: only what they must."""
+"""A second run, a changed parameter, item or picture, a kill, a second process: they cost only what they must."""
 
 import filecmp
 import random
@@ -96,7 +96,9 @@ def test_a_changed_homography_runs_register_again_and_an_equal_one_does_not(
     lightstage: Lightstage, ball: Path, tmp_path: Path
 ) -> None:
     item = tmp_path / "h.yaml"
-    item.write_text("item: homography\nfrom: CAM0\nto: CAM1\nmatrix: [[1.0,0.0,-1.0],[0,1.0,0],[0,0,1e0]]\nrig: york\n")
+    item.write_text(
+        "item: homography\nfrom: CAM0\nto: CAM1\nmatrix: [[1.0,0.0,-1.0],[0,1.0,0],[0,0,1e0]]\nrig: york\n"
+    )
     assert run(lightstage, "--calibration", f"homography={item}") == {}
     # the same map, scaled and the other way round
     item.write_text("item: homography\nfrom: CAM1\nto: CAM0\nmatrix: [[2, 0, 2], [0, 2, 0], [0, 0, 2]]\n")
@@ -147,11 +149,15 @@ def test_status_and_why_tell_the_truth(lightstage: Lightstage, ball: Path) -> No
     assert ("register", "input of frame 4 (Xc), 576 nm") in {(r["node"], r["what"]) for r in why["reasons"]}
 
 
-def test_a_dry_run_says_what_a_run_does_and_writes_nothing(lightstage: Lightstage, ball: Path, tmp_path: Path) -> None:
+def test_a_dry_run_says_what_a_run_does_and_writes_nothing(
+    lightstage: Lightstage, ball: Path, tmp_path: Path
+) -> None:
     before = sorted(p for p in (tmp_path / "store").rglob("*"))
     dry = lightstage("run", "--session", "ball", "--json", "--dry-run", "--set", "split.x=1")
     assert dry.code == 2
-    dry = lightstage("run", "--session", "ball", "--json", "--dry-run", "--set", "normals.method=ratio").json["nodes"]
+    dry = lightstage("run", "--session", "ball", "--json", "--dry-run", "--set", "normals.method=ratio").json[
+        "nodes"
+    ]
     assert dry["normals"] == {"compute": 1, "check": 0, "reuse": 0}
     assert dry["stack"] == {"compute": 0, "check": 0, "reuse": 7}
     assert sorted(p for p in (tmp_path / "store").rglob("*")) == before
@@ -184,7 +190,10 @@ def same_trees(a: Path, b: Path) -> bool:
 
 
 def groups(store: Path) -> dict[str, Path]:
-    return {node: next((store / "results" / "s" / node).glob("*-*/")) for node in ("register", "split", "stack", "normals")}
+    return {
+        node: next((store / "results" / "s" / node).glob("*-*/"))
+        for node in ("register", "split", "stack", "normals")
+    }
 
 
 @pytest.mark.slow
@@ -266,7 +275,9 @@ def test_a_cached_run_imports_no_stage_no_dask_and_no_zarr(tmp_path: Path, spher
     assert done.returncode == 0, done.stderr
 
 
-def test_a_damaged_result_is_found_quarantined_and_made_again(lightstage: Lightstage, ball: Path, tmp_path: Path) -> None:
+def test_a_damaged_result_is_found_quarantined_and_made_again(
+    lightstage: Lightstage, ball: Path, tmp_path: Path
+) -> None:
     store = tmp_path / "store"
     folder = Path(lightstage("path", "stack", "--session", "ball").out.strip())
     victim = folder / "radiance" / "c" / "2" / "0" / "0" / "0" / "0"
@@ -298,7 +309,9 @@ def test_a_file_that_replaced_a_link_is_found_too(lightstage: Lightstage, ball: 
     assert lightstage("verify").code == 0
 
 
-def test_damage_met_on_the_way_is_healed_in_the_same_run(lightstage: Lightstage, ball: Path, tmp_path: Path) -> None:
+def test_damage_met_on_the_way_is_healed_in_the_same_run(
+    lightstage: Lightstage, ball: Path, tmp_path: Path
+) -> None:
     folder = Path(lightstage("path", "stack", "--session", "ball").out.strip())
     victim = folder / "radiance" / "c" / "1" / "0" / "0" / "0" / "0"
     data = bytearray(victim.read_bytes())
@@ -310,7 +323,9 @@ def test_damage_met_on_the_way_is_healed_in_the_same_run(lightstage: Lightstage,
     assert "is damaged" in done.err
 
 
-def test_a_damaged_raw_picture_names_the_folder_to_import(lightstage: Lightstage, ball: Path, tmp_path: Path) -> None:
+def test_a_damaged_raw_picture_names_the_folder_to_import(
+    lightstage: Lightstage, ball: Path, tmp_path: Path
+) -> None:
     store = Store(tmp_path / "store")
     ref = read_session("ball", store).images[3][0][1]
     path = store.chunks.path(ref.blob)
@@ -340,7 +355,9 @@ def test_gc_frees_what_nothing_uses_and_nothing_else(lightstage: Lightstage, bal
     assert run(lightstage, "--set", "normals.method=ratio") == {"normals": 1}
 
 
-def test_a_kernels_refusal_names_node_and_block(lightstage: Lightstage, ball: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_kernels_refusal_names_node_and_block(
+    lightstage: Lightstage, ball: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     import stages.register
     from dag.stage import StageError
 
@@ -358,7 +375,7 @@ def test_a_kernels_refusal_names_node_and_block(lightstage: Lightstage, ball: Pa
 def test_a_performance_gives_normals_at_every_tracking_frame_with_a_full_set(
     lightstage: Lightstage, tmp_path: Path
 ) -> None:
-    sequence = "X Z C Y Xc C Zc Yc C X Z C".split()
+    sequence = ["X", "Z", "C", "Y", "Xc", "C", "Zc", "Yc", "C", "X", "Z", "C"]
     folder = one_camera_capture(tmp_path / "p", sequence, frame_rate_hz=60.0)
     lightstage("import", folder)
     done = lightstage("run", "--session", "p", "--json")

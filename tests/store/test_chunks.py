@@ -32,7 +32,9 @@ def test_what_is_stored_comes_back_equal(tmp_path_factory: pytest.TempPathFactor
 
 @pytest.mark.parametrize("shape", [(6, 8), (5, 7)])
 @pytest.mark.parametrize("dtype", ["uint16", "int16", "float32", "bool"])
-def test_zarr_reads_our_chunks_with_and_without_bit_shuffle(store: Store, shape: tuple[int, int], dtype: str) -> None:
+def test_zarr_reads_our_chunks_with_and_without_bit_shuffle(
+    store: Store, shape: tuple[int, int], dtype: str
+) -> None:
     """The trap: blosc's bit shuffle does not compress unless the element count is a multiple of 8."""
     values = (np.arange(2 * shape[0] * shape[1]).reshape(2, *shape) % 3).astype(dtype)
     refs = {(i, 0, 0): store.chunks.put(values[i : i + 1]) for i in range(2)}
@@ -41,7 +43,10 @@ def test_zarr_reads_our_chunks_with_and_without_bit_shuffle(store: Store, shape:
     write_group(
         folder,
         arrays={"a": template},
-        coordinates={"illumination": Coordinate(("frame",), ["X", "Xc"]), "time_s": Coordinate(("frame",), [0.0, np.nan])},
+        coordinates={
+            "illumination": Coordinate(("frame",), ["X", "Xc"]),
+            "time_s": Coordinate(("frame",), [0.0, np.nan]),
+        },
         attrs={"units": "counts"},
         chunks={"a": refs},
         source=store.chunks,
@@ -64,7 +69,14 @@ def test_a_chunk_that_was_not_computed_reads_as_not_valid(store: Store) -> None:
     template = ArrayTemplate(("frame", "y", "x"), (2, 4, 4), (1, 4, 4), "float32")
     folder = store.root / "group"
     ref = store.chunks.put(np.ones((1, 4, 4), np.float32))
-    write_group(folder, arrays={"a": template}, coordinates={}, attrs={}, chunks={"a": {(0, 0, 0): ref}}, source=store.chunks)
+    write_group(
+        folder,
+        arrays={"a": template},
+        coordinates={},
+        attrs={},
+        chunks={"a": {(0, 0, 0): ref}},
+        source=store.chunks,
+    )
     values = xarray.open_zarr(folder, chunks=None).a.values
     assert values[0].min() == 1
     assert np.isnan(values[1]).all()
@@ -76,7 +88,14 @@ def test_scaled_integers_decode_to_floats_with_nan(store: Store) -> None:
     template = ArrayTemplate(("frame", "y", "x"), (1, 1, 2), (1, 1, 2), "int16", attrs)
     folder = store.root / "group"
     ref = store.chunks.put(stored)
-    write_group(folder, arrays={"n": template}, coordinates={}, attrs={}, chunks={"n": {(0, 0, 0): ref}}, source=store.chunks)
+    write_group(
+        folder,
+        arrays={"n": template},
+        coordinates={},
+        attrs={},
+        chunks={"n": {(0, 0, 0): ref}},
+        source=store.chunks,
+    )
     values = xarray.open_zarr(folder, chunks=None).n.values
     assert values[0, 0, 0] == pytest.approx(1)
     assert np.isnan(values[0, 0, 1])

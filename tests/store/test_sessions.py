@@ -87,7 +87,10 @@ def test_a_picture_saved_anew_with_equal_pixels_is_no_change(sphere: Path, store
 def test_an_item_with_the_same_numbers_is_no_change_and_another_is_named(sphere: Path, store: Store) -> None:
     import_capture(sphere, store)
     path = sphere / "calibration" / "homography.yaml"
-    path.write_text("# the same numbers\nitem: homography\nfrom: CAM0\nto: CAM1\nmatrix:\n- [1.0, 0, -1.00]\n- [0, 1, 0]\n- [0, 0, 1]\n")
+    path.write_text(
+        "# the same numbers\nitem: homography\nfrom: CAM0\nto: CAM1\n"
+        "matrix:\n- [1.0, 0, -1.00]\n- [0, 1, 0]\n- [0, 0, 1]\n"
+    )
     assert import_capture(sphere, store).changes == ()
     path.write_text(path.read_text().replace("-1.00", "-1.25"))
     again = import_capture(sphere, store)

@@ -1,0 +1,303 @@
+"""The command: what it prints, exit codes, JSON, bad requests."""
+
+import json
+import struct
+import subprocess
+import sys
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import imageio.v3 as imageio
+import numpy as np
+import OpenEXR
+import pytest
+import xarray
+
+from cli.main import build_parser
+from tests.conftest import REPOSITORY, Answer, run_process
+from tests.scenes import one_camera_capture, sphere_normals, write_capture
+
+Lightstage = Callable[..., Answer]
+
+
+@pytest.fixture
+def ball(lightstage: Lightstage, sphere: Path) -> Path:
+    assert lightstage("import", sphere).code == 0
+    assert lightstage("run", "--session", "ball").code == 0
+    return sphere
+
+
+def test_the_main_job_ends_with_a_picture(lightstage: Lightstage, sphere: Path) -> None:
+    done = lightstage("normals", sphere)
+    assert done.code == 0, done.err
+    path = Path(done.out.strip().splitlines()[-1].removeprefix("picture: "))
+    sheet = cv2.imread(str(path))
+    assert sheet is not None
+    assert sheet.shape[1] > 3 * sheet.shape[0]
+    before = path.stat().st_mtime_ns
+    assert lightstage("normals", "ball", "--json").json["picture"] == str(path)
+    assert path.stat().st_mtime_ns == before  # nothing to draw anew
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("sessions", "list"),
+        ("sessions", "show", "ball"),
+        ("calibration", "list"),
+        ("calibration", "show", "homography"),
+        ("run", "--session", "ball"),
+        ("run", "--session", "ball", "--dry-run"),
+        ("status",),
+        ("status", "--session", "ball"),
+        ("why", "normals", "--session", "ball"),
+        ("graph",),
+        ("path", "normals", "--session", "ball"),
+        ("path", "capture", "--session", "ball"),
+        ("verify",),
+        ("gc", "--dry-run"),
+        ("run", "--session", "nobody"),
+        ("path", "nothing", "--session", "ball"),
+    ],
+)
+def test_json_is_one_document_and_nothing_else(lightstage: Lightstage, ball: Path, words: tuple[str, ...]) -> None:
+    done = lightstage(*words, "--json")
+    assert isinstance(json.loads(done.out), dict)
+    assert ("error" in json.loads(done.out)) == (done.code != 0)
+    plain = lightstage(*words)
+    assert plain.code == done.code
+    assert plain.out.strip() or plain.code
+
+
+def test_path_prints_the_path_and_nothing_else(lightstage: Lightstage, ball: Path) -> None:
+    (line,) = lightstage("path", "normals", "--session", "ball").out.splitlines()
+    assert Path(line).is_dir()
+    assert Path(line).parent.joinpath("current").read_text().strip() == Path(line).name
+
+
+@pytest.mark.parametrize(
+    ("words", "part"),
+    [
+        (("runn",), "invalid choice: 'runn'"),
+        (("run",), "--session"),
+        (("run", "--session", "bal"), "no session 'bal' in the store"),
+        (("run", "normal", "--session", "ball"), "no node 'normal'; did you mean 'normals'"),
+        (("run", "--session", "ball", "--frames", "3:1"), "expected A:B"),
+        (("run", "--session", "ball", "--frames", "0:9"), "session 'ball' has frames 0:7"),
+        (("run", "--session", "ball", "--workers", "0"), "at least one process"),
+        (("run", "--session", "ball", "--pipeline", "no.yaml"), "no.yaml is missing"),
+        (
+            ("run", "--session", "ball", "--set", "normals.method=least_squares"),
+            "at least three one-light pictures",
+        ),
+        (("run", "--session", "ball", "--calibration", "homografy=x"), "did you mean 'homography'"),
+        (("run", "--session", "ball", "--calibration", "dark=nothing.yaml"), "nothing.yaml is missing"),
+        (("import", "nowhere"), "nowhere is not a folder"),
+        (("normals", "nowhere"), "neither a session"),
+        (("path", "nrmals", "--session", "ball"), "no result of 'nrmals'"),
+        (("why", "nrmals", "--session", "ball"), "did you mean 'normals'"),
+        (("gc", "--grace", "soon"), "expected a time"),
+        (("calibration", "show", "homograpy"), "no calibration item"),
+        (("calibration", "use", "no.yaml", "--session", "ball"), "no.yaml is missing"),
+        (("demo", "--size", "big"), "expected WIDTHxHEIGHT"),
+        (("demo", "--bands", "20"), "390 to 760 nm"),
+    ],
+)
+def test_a_wrong_request_is_one_sentence_and_exit_code_2(
+    lightstage: Lightstage, ball: Path, words: tuple[str, ...], part: str
+) -> None:
+    done = lightstage(*words)
+    assert done.code == 2
+    assert part in done.err
+    assert len(done.err.strip().splitlines()) == 1
+    assert done.err.startswith("lightstage: ")
+
+
+def test_version_and_help(capsys: pytest.CaptureFixture[str]) -> None:
+    for words in (["--version"], ["--help"], ["run", "--help"]):
+        with pytest.raises(SystemExit) as stop:
+            build_parser().parse_args(words)
+        assert stop.value.code == 0
+    assert "lightstage 0.1" in capsys.readouterr().out
+
+
+def test_the_store_comes_from_the_environment_or_is_data(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("LIGHTSTAGE_STORE", raising=False)
+    assert build_parser().parse_args(["status"]).store == "data"
+    monkeypatch.setenv("LIGHTSTAGE_STORE", "elsewhere")
+    assert build_parser().parse_args(["status"]).store == "elsewhere"
+
+
+def test_a_store_must_be_a_folder_of_its_own(lightstage: Lightstage, sphere: Path, tmp_path: Path) -> None:
+    assert "holds other files" in lightstage("import", sphere, store=sphere).err
+    (tmp_path / "file").write_text("x")
+    assert "is a file" in lightstage("status", store=tmp_path / "file").err
+    assert "only a local folder" in lightstage("status", store="s3://bucket/x").err
+    new = tmp_path / "newer"
+    new.mkdir()
+    (new / "store.json").write_text('{"format": "lightstage-store/9"}')
+    assert "this program reads lightstage-store/1" in lightstage("status", store=new).err
+
+
+def test_binding_another_item_is_what_later_runs_use(lightstage: Lightstage, ball: Path, tmp_path: Path) -> None:
+    item = tmp_path / "new.yaml"
+    item.write_text("item: homography\nfrom: CAM0\nto: CAM1\nmatrix: [[1, 0, -1.5], [0, 1, 0], [0, 0, 1]]\n")
+    assert lightstage("calibration", "use", item, "--session", "ball", "--json").json["changed"]
+    assert not lightstage("calibration", "use", item, "--session", "ball", "--json").json["changed"]
+    assert lightstage("run", "--session", "ball", "--json").json["nodes"]["register"]["computed"] == 7
+    listed = lightstage("calibration", "list", "--session", "ball", "--json").json["items"]
+    assert {entry["kind"] for entry in listed} == {"homography", "bands"}
+
+
+def test_items_of_another_rig_or_of_later_are_refused(lightstage: Lightstage, tmp_path: Path) -> None:
+    folder = one_camera_capture(tmp_path / "c", ["C", "X", "Y", "Z"], rig="york", captured="2010-03-12T14:05:00")
+    lightstage("import", folder)
+    bands = tmp_path / "bands.yaml"
+    bands.write_text("item: bands\nrig: leeds\nbands: [{centre_nm: 0, exposure: 2}]\n")
+    done = lightstage("run", "--session", "c", "--calibration", f"bands={bands}")
+    assert done.code == 2
+    assert "measured on the rig 'leeds', the session is of 'york'" in done.err
+    bands.write_text("item: bands\nvalid_from: 2011-01-01\nbands: [{centre_nm: 0, exposure: 2}]\n")
+    assert "valid from 2011-01-01" in lightstage("run", "--session", "c", "--calibration", f"bands={bands}").err
+
+
+def test_one_camera_sessions_say_what_cannot_be_made(lightstage: Lightstage, tmp_path: Path) -> None:
+    lightstage("import", one_camera_capture(tmp_path / "cross", ["C", "X", "Y", "Z"]))
+    done = lightstage("run", "--session", "cross")
+    assert "split: cannot be made: specular: needs the parallel camera" in done.out
+    assert "normals: method: ratio" in done.out
+    refused = lightstage("run", "--session", "cross", "--set", "normals.component=specular")
+    assert refused.code == 2
+    assert "needs the parallel camera" in refused.err
+    lightstage("import", one_camera_capture(tmp_path / "plain", ["C", "X", "Y", "Z"], polarisation="unpolarised"))
+    assert "normals are of the total light" in lightstage("run", "--session", "plain").out
+
+
+@pytest.fixture
+def exported(lightstage: Lightstage, ball: Path, tmp_path: Path) -> Callable[..., Path]:
+    def export(form: str, *more: str) -> Path:
+        to = tmp_path / f"{form}{len(more)}"
+        done = lightstage("export", "normals", "--session", "ball", "--to", to, "--format", form, *more)
+        assert done.code == 0, done.err
+        return to / f"normal_tracking0000_576nm.{form.rstrip('0123456789')}"
+
+    return export
+
+
+def read_png(path: Path) -> Any:
+    """8 bits by imageio; 16-bit colour is beyond Pillow, so by the format's own rules (type 2, filters 0 to 4)."""
+    data = path.read_bytes()
+    width, height, depth, kind = struct.unpack(">IIBB", data[16:26])
+    assert kind == 2
+    if depth == 8:
+        return imageio.imread(path)
+    parts, offset = b"", 8
+    while offset < len(data):
+        length, name = struct.unpack_from(">I4s", data, offset)
+        parts += data[offset + 8 : offset + 8 + length] if name == b"IDAT" else b""
+        offset += 12 + length
+    rows = np.frombuffer(zlib.decompress(parts), np.uint8).reshape(height, 1 + width * 6)
+    out = np.zeros((height, width * 6), np.uint8)
+    for y in range(height):
+        up = out[y - 1] if y else np.zeros(width * 6, np.uint8)
+        for i in range(width * 6):
+            left = int(out[y, i - 6]) if i >= 6 else 0
+            corner = int(up[i - 6]) if i >= 6 else 0
+            guess = left + int(up[i]) - corner
+            nearest = min((left, int(up[i]), corner), key=lambda value: abs(guess - value))
+            base = (0, left, int(up[i]), (left + int(up[i])) // 2, nearest)[rows[y, 0]]
+            out[y, i] = (int(rows[y, 1 + i]) + base) & 255
+    return out.reshape(height, width, 6).view(">u2")
+
+
+def test_png_normals_are_green_up_or_down(exported: Callable[..., Path]) -> None:
+    """On the sphere's upper half the normal points up: green above a half in OpenGL, below in DirectX."""
+    for form, top in (("png8", 255), ("png16", 65535)):
+        opengl = read_png(exported(form))
+        directx = read_png(exported(form, "--convention", "directx"))
+        assert opengl.dtype.itemsize == (1 if top == 255 else 2)
+        assert opengl[8, 24, 1] > 0.7 * top > 0.3 * top > directx[8, 24, 1]
+        assert opengl[24, 8, 0] < 0.3 * top < 0.7 * top < opengl[24, 40, 0]
+        assert abs(int(opengl[24, 24, 2]) - top) < 0.02 * top
+
+
+def test_exr_has_named_float_channels_and_says_its_frame(exported: Callable[..., Path]) -> None:
+    path = exported("exr")
+    with OpenEXR.File(str(path), separate_channels=True) as exr:
+        channels = exr.channels()
+        header = exr.header()
+        assert set(channels) == {"normal.X", "normal.Y", "normal.Z"}
+        normal = np.stack([channels[f"normal.{a}"].pixels for a in "XYZ"])
+        assert header["lightstage.convention"] == "green = up (OpenGL)"
+        assert "z towards the camera" in header["lightstage.frame"]
+        assert header["lightstage.units"] == "unit vector"
+        assert header["lightstage.method"] == "difference"
+    assert normal.dtype == np.float32
+    truth, mask = sphere_normals()
+    assert np.median(np.abs(normal - truth)[:, mask]) < 0.02
+
+
+def test_npy_is_the_decoded_result(exported: Callable[..., Path], lightstage: Lightstage) -> None:
+    values = np.load(exported("npy"))
+    result = xarray.open_zarr(lightstage("path", "normals", "--session", "ball").out.strip(), chunks=None)
+    np.testing.assert_array_equal(values, result.normal.values[0, 0].transpose(1, 2, 0))
+
+
+def test_a_full_disk_is_a_sentence_and_nothing_is_lost(tmp_path: Path, sphere: Path) -> None:
+    """A limit on file size makes the kernel refuse the write as a full disk would, in the real code."""
+    store = tmp_path / "store"
+    assert run_process("import", sphere, store=store).returncode == 0
+    code = (
+        "import errno, os, sys\nimport store.files\n"
+        "real, left = os.fsync, [5]\n"
+        "def fsync(fd):\n"
+        "    left[0] -= 1\n"
+        "    if left[0] < 0: raise OSError(errno.ENOSPC, 'No space left on device')\n"
+        "    return real(fd)\n"
+        "os.fsync = fsync\n"
+        "from cli.main import main\n"
+        f"sys.exit(main(['--store', {str(store)!r}, 'run', '--session', 'ball']))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=REPOSITORY, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 1
+    assert "is full: nothing was lost" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert run_process("verify", store=store).returncode == 0
+    assert run_process("run", "--session", "ball", store=store).returncode == 0
+    assert not list((store / "tmp").glob("*"))
+
+
+def test_the_demo_runs_and_keeps_its_truth(lightstage: Lightstage, tmp_path: Path) -> None:
+    done = lightstage("demo", "--size", "64x48", "--bands", "576", "--session", "d", "--json")
+    assert done.code == 0, done.err
+    truth = Path(done.json["truth"]) / "ground_truth_cam1.npz"
+    assert np.load(truth)["normal"].shape == (48, 64, 3)
+    assert lightstage("run", "--session", "d").code == 0
+    before = sorted(p.name for p in (tmp_path / "store" / "captures").iterdir())
+    lightstage("demo", "--size", "64x48", "--bands", "576", "--session", "d")
+    assert sorted(p.name for p in (tmp_path / "store" / "captures").iterdir()) == before
+
+
+def test_a_picture_of_odd_size_goes_all_the_way(lightstage: Lightstage, tmp_path: Path) -> None:
+    """Element counts that are no multiple of 8 take another codec."""
+    generator = np.random.default_rng(0)
+    pictures = {(i, 0, "cross"): generator.integers(1, 255, (7, 9)).astype(np.uint8) for i in range(4)}
+    folder = write_capture(tmp_path / "odd", pictures, illumination=["C", "X", "Y", "Z"], bits=8)
+    lightstage("import", folder)
+    assert lightstage("run", "--session", "odd").code == 0
+    path = lightstage("path", "register", "--session", "odd").out.strip()
+    raw = xarray.open_zarr(path, chunks=None).signal.values[2, 0, 0]
+    np.testing.assert_array_equal(raw, pictures[2, 0, "cross"])
+
+
+def test_a_truncated_picture_is_one_clear_sentence(lightstage: Lightstage, sphere: Path) -> None:
+    victim = sphere / "0003_Z_576nm_CAM1.png"
+    victim.write_bytes(victim.read_bytes()[:200])
+    done = lightstage("import", sphere)
+    assert done.code == 2
+    assert (
+        done.err.strip() == f"lightstage: {victim} is truncated: the PNG ends after 200 bytes without an end mark"
+    )
