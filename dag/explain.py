@@ -96,7 +96,7 @@ def why(state: State, name: str, store: Store) -> tuple[str, list[Reason]]:
             "no result stood before it",
             [],
         )
-    now_made, old_made = _lineage(state, name, how.folder, store), _lineage(state, name, before, store)
+    now_made, old_made = _lineage(state, name, how.folder, store), _lineage(state, name, str(before), store)
     for upper in _with_above(state, name):
         reasons += _between(upper, old_made.get(upper, {}), now_made.get(upper, {}))
     return f"{name} is fresh; against the result before it ({before}) these inputs changed", reasons
