@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from store.document import load
 
 matplotlib.use("Agg")
-import matplotlib.pyplot as plt  # noqa: E402
+import matplotlib.pyplot as plt
 
 ROOT = Path(__file__).resolve().parent.parent
 DATA = Path(os.environ.get("LIGHTSTAGE_TEST_DATA", ROOT.parent / "shared" / "data"))
@@ -150,7 +150,7 @@ def rendered(bench: Bench, lines: list[str]) -> None:
         "![norms, head](figures/norm_static_A.png)",
         "",
         "*Norm of both components on the head; the ideal diffuse norm is 1/3, a mirror's is 1/2.* (Head: \"Infinite, 3D",
-        "Head Scan\" by Lee Perry-Smith / Infinite-Realities, CC BY 3.0, based on a work at www.triplegangers.com;",
+        'Head Scan" by Lee Perry-Smith / Infinite-Realities, CC BY 3.0, based on a work at www.triplegangers.com;',
         "changed. Only statistics of it are shown.) The same for the [sphere](figures/norm_static_sphere.png) and the",
         "[cylinder](figures/norm_static_cylinder.png).",
         "",
@@ -173,7 +173,9 @@ def _plot_norms(shown: dict[tuple[str, str], Result], mask: Array, subject: str,
             result = shown[component, method]
             values = result.norm[_band(result)][mask]
             values = values[np.isfinite(values)]
-            axis.hist(values, bins=160, range=(0, 0.8), histtype="step", label=f"{method}, median {np.median(values):.3f}")
+            axis.hist(
+                values, bins=160, range=(0, 0.8), histtype="step", label=f"{method}, median {np.median(values):.3f}"
+            )
         axis.axvline(1 / 3 if component == "diffuse" else 1 / 2, color="0.6", linewidth=1)
         axis.set_title(f"{subject}, {component}")
         axis.set_xlabel("norm")
@@ -182,7 +184,7 @@ def _plot_norms(shown: dict[tuple[str, str], Result], mask: Array, subject: str,
 
 
 def _plot_rows(shown: dict[tuple[str, str], Result], truth: Array, mask: Array, subject: str, path: Path) -> None:
-    y, x = (int(round(v)) for v in np.argwhere(mask).mean(axis=0))
+    y, x = (round(v) for v in np.argwhere(mask).mean(axis=0))
     figure, axes = plt.subplots(2, 1, figsize=(9, 6), layout="constrained")
     for axis, cut, name in ((axes[0], np.s_[y, :], f"row {y}"), (axes[1], np.s_[:, x], f"column {x}")):
         inside = np.flatnonzero(mask[cut])
@@ -230,7 +232,9 @@ def fused(bench: Bench, lines: list[str]) -> None:
     for name, normal in rows:
         noise = float(angle(normal, clean)[mask].mean())
         error = angle(normal, truth)[mask]
-        lines.append(f"| {name} | {noise:.2f} | {alone / noise:.2f} | {error.mean():.2f} | {np.median(error):.2f} |")
+        lines.append(
+            f"| {name} | {noise:.2f} | {alone / noise:.2f} | {error.mean():.2f} | {np.median(error):.2f} |"
+        )
 
 
 def registration(bench: Bench, lines: list[str]) -> None:
@@ -251,9 +255,7 @@ def registration(bench: Bench, lines: list[str]) -> None:
         path = bench.call("run", "register", "--session", session)["nodes"]["register"]["path"]
         moved = displacement(xarray.open_zarr(path, chunks=None), folder)
         middle = np.median(moved, axis=0)
-        lines.append(
-            f"| {name} | {len(moved)} | {middle[0]:+.3f} | {middle[1]:+.3f} | {np.hypot(*middle):.3f} |"
-        )
+        lines.append(f"| {name} | {len(moved)} | {middle[0]:+.3f} | {middle[1]:+.3f} | {np.hypot(*middle):.3f} |")
 
 
 def displacement(registered: Any, folder: Path) -> Array:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cli.show import Screen
-from store.errors import WorkError
+from store.errors import RequestError, WorkError
 from store.root import Store
 
 if TYPE_CHECKING:
@@ -63,7 +63,10 @@ def handle_export(options: argparse.Namespace, screen: Screen) -> int:
     else:
         path = current_path(session.name, options.node, store)
     dataset = open_dataset(path)
-    options.to.mkdir(parents=True, exist_ok=True)
+    try:
+        options.to.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RequestError(f"--to {options.to}: no folder can be made there ({error.strerror})") from None
     written = []
     count = sum(
         int(a.size // (a.sizes["y"] * a.sizes["x"] * a.sizes.get("xyz", 1))) for a in dataset.data_vars.values()
@@ -102,7 +105,7 @@ def planes(dataset: Any) -> Iterator[Plane]:
             here = array.isel(dict(zip(outer, index, strict=True)))
             labels = [_label(dataset, dim, i) for dim, i in zip(outer, index, strict=True)]
             if normal:
-                values = here.transpose("y", "x", "xyz").values
+                values = here.transpose("y", "x", "xyz").values.astype(np.float32)
             else:
                 values = here.transpose("y", "x").values
             yield Plane(

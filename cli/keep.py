@@ -35,15 +35,14 @@ def handle_verify(options: argparse.Namespace, screen: Screen) -> int:
         screen.say(f"damaged: {damage.path}: belongs to {damage.belongs_to}; {damage.remedy}")
     screen.say(
         f"{report.chunks} chunks, {human_size(report.size)}: "
-        + (f"{len(report.damaged)} damaged, now in {store.quarantine}" if report.damaged else "all intact")
+        + (f"{len(report.damaged)} were damaged or gone" if report.damaged else "all intact")
     )
     screen.document(
         {
             "chunks": report.chunks,
             "bytes": report.size,
             "damaged": [
-                {"path": str(d.path), "blob": d.blob, "belongs_to": d.belongs_to, "remedy": d.remedy}
-                for d in report.damaged
+                {"path": str(d.path), "belongs_to": d.belongs_to, "remedy": d.remedy} for d in report.damaged
             ],
         }
     )

@@ -12,9 +12,10 @@ for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUM
     os.environ.setdefault(_name, "1")
 
 import argparse  # noqa: E402
+import re  # noqa: E402
 from collections.abc import Sequence  # noqa: E402
 from importlib import import_module  # noqa: E402
-from typing import NoReturn  # noqa: E402
+from typing import Any, NoReturn  # noqa: E402
 
 from cli.show import Screen  # noqa: E402
 from store.errors import LightstageError, RequestError  # noqa: E402
@@ -26,8 +27,20 @@ FAMILIES = ("run", "sessions", "look", "keep", "export", "demo")
 class _Parser(argparse.ArgumentParser):
     """argparse, with one sentence and the nearest name instead of the whole usage."""
 
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options, allow_abbrev=False)
+
     def error(self, message: str) -> NoReturn:
-        raise RequestError(f"{self.prog}: {message} (`{self.prog} --help` lists what there is)")
+        command = self.prog.removeprefix("lightstage").strip()
+        wrong = re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message)
+        if wrong:
+            from store.document import nearest
+
+            options = re.findall(r"[\w.-]+", wrong[2])
+            message = f"'{wrong[1]}' is not known{nearest(wrong[1], options)}"
+        raise RequestError(
+            f"{command + ': ' if command else ''}{message} (`{self.prog} --help` lists what there is)"
+        )
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -67,14 +80,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         options = build_parser().parse_args(words)
         if options.command is None:
+            if screen.as_json:
+                raise RequestError("a command is missing (`lightstage --help` lists them)")
             build_parser().print_help()
             return 2
         return int(options.handler(options, screen))
     except LightstageError as error:
         return _failed(error, error.exit_code, screen, words)
     except KeyboardInterrupt:
-        print("stopped; what was finished is kept, and the next run goes on from there", file=sys.stderr)
-        return 130
+        told = RequestError("stopped; what was finished is kept, and the next run goes on from there")
+        return _failed(told, 130, screen, words)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1

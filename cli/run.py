@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cli.show import RunWatcher, Screen
-from store.errors import RequestError
+from store.errors import RequestError, WorkError
 from store.files import human_size
 from store.root import Store
 
@@ -71,7 +71,8 @@ def parse_frames(text: str | None) -> tuple[int, int] | None:
     if text is None:
         return None
     first, colon, last = text.partition(":")
-    if not (colon and first.isdigit() and last.isdigit() and int(first) < int(last)):
+    digits = first.isascii() and first.isdecimal() and last.isascii() and last.isdecimal()
+    if not (colon and digits and int(first) < int(last)):
         raise RequestError(f"--frames {text}: expected A:B with A < B, half-open, such as 0:10")
     return int(first), int(last)
 
@@ -88,7 +89,7 @@ def override_items(given: Sequence[str], store: Store) -> "dict[str, Item]":
             raise RequestError(f"--calibration {text}: expected KIND=FILE, such as homography=homography.yaml")
         if kind not in KINDS:
             raise RequestError(f"--calibration {text}: '{kind}' is no kind of item{document.nearest(kind, KINDS)}")
-        item, original = read_item(Path(path), store, kind=kind)
+        item, original = read_item(Path(path), store.chunks, kind=kind)
         put_item(item, original, store)
         items[kind] = item
     return items
@@ -127,9 +128,11 @@ def run_session(options: argparse.Namespace, store: Store, screen: Screen, nodes
     if options.workers and options.scheduler:
         raise RequestError("--workers and --scheduler: choose one")
     frames = parse_frames(options.frames)
-    key = None
-    if not options.calibration:
-        key = request_key(
+
+    def key_now() -> str | None:
+        if options.calibration:
+            return None  # an item names pictures, whose bytes are not looked at here
+        return request_key(
             store,
             session=options.session,
             pipeline=pipeline_path(options.pipeline),
@@ -137,12 +140,14 @@ def run_session(options: argparse.Namespace, store: Store, screen: Screen, nodes
             nodes=nodes,
             frames=frames,
         )
+
+    key = key_now()
     answer = recall(store, key) if key is not None else None
     if answer is not None:
         return _tell(answer, store, screen, {}, 0.0)
 
-    from dag.run import Where, publish_results, run
-    from store.sessions import show_raw
+    from dag.run import Where, run
+    from store.sessions import read_session, show_raw
 
     store.scratch.sweep()
     plan = plan_for(options, store, nodes)
@@ -150,12 +155,16 @@ def run_session(options: argparse.Namespace, store: Store, screen: Screen, nodes
     with RunWatcher(screen) as watcher:
         import time
 
-        state = run(plan, store, watcher, frames=frames, where=where)
-        results = publish_results(state, store, versions())
+        state, results = run(plan, store, watcher, frames=frames, where=where, versions=versions())
         elapsed = time.perf_counter() - watcher.began
-    show_raw(plan.session, store)
+    # read anew: the session may have been imported again in the meantime
+    try:
+        show_raw(read_session(options.session, store), store)
+    except WorkError as error:
+        screen.warn(str(error))
     _say_skipped(state, screen)
-    answer = remember(store, key, options.session, results)
+    # what was read may have changed since the key was made
+    answer = remember(store, key if key == key_now() else None, options.session, results)
     store.scratch.leave()
     done = {name: (result.computed, result.seconds) for name, result in results.items()}
     return _tell(answer, store, screen, done, elapsed)

@@ -65,6 +65,9 @@ def import_folder(folder: Path, store: Store, screen: Screen, name: str | None =
 
 def handle_import(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage import."""
+    from store.capture import read_capture
+
+    read_capture(options.folder)  # a typo in it must not even make a store
     store = Store(options.store)
     store.scratch.sweep()
     done = import_folder(options.folder, store, screen, options.session)
@@ -262,7 +265,7 @@ def handle_use(options: argparse.Namespace, screen: Screen) -> int:
     session = read_session(options.session, store)
     path = Path(options.item).expanduser()
     if path.is_file():
-        item, original = read_item(path, store)
+        item, original = read_item(path, store.chunks)
         put_item(item, original, store)
     elif path.suffix in (".yaml", ".yml"):
         raise RequestError(f"{path} is missing: expected a calibration item")

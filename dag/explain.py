@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from dag.plan import NodeState, State
-from dag.run import plain_parts
-from store.results import current, provenance
+from dag.run import plain_parts, result_attrs
+from store.results import current, lacks, provenance
 from store.root import Store
 
 Condition = Literal["fresh", "stale", "partial", "missing"]
@@ -31,20 +31,25 @@ class NodeStatus:
 def status(state: State, store: Store) -> list[NodeStatus]:
     """The state of every node of a plan that was looked up."""
     return [
-        _node_status(state.plan.session.name, name, node, store)
+        _node_status(state, name, node, store)
         for name, node in state.nodes.items()
         if not node.plan.node.stage.is_source
     ]
 
 
-def _node_status(session: str, name: str, node: NodeState, store: Store) -> NodeStatus:
+def _node_status(state: State, name: str, node: NodeState, store: Store) -> NodeStatus:
+    session = state.plan.session.name
     known = [record for record in node.records if record is not None]
     folder = current(session, name, store)
     condition: Condition
     if len(known) == len(node.records):
-        wanted = f"{node.plan.recipe}-{node.manifest()}"
+        wanted = f"{node.plan.recipe}-{node.manifest(result_attrs(state, node))}"
         # computed blocks without their result folder: a run that was stopped before it published
         condition = "fresh" if folder == wanted else "stale" if folder else "partial"
+        if condition == "fresh":
+            made = provenance(session, name, wanted, store)
+            if made is None or lacks(store.results / session / name / wanted, made):
+                condition = "partial"  # somebody has deleted files of the group; a run links them again
     elif folder is not None:
         made = provenance(session, name, folder, store) or {}
         whole = len(made.get("inputs", {})) == len(node.records)
@@ -72,7 +77,7 @@ def why(state: State, name: str, store: Store) -> tuple[str, list[Reason]]:
     """
     session = state.plan.session.name
     node = state.nodes[name]
-    how = _node_status(session, name, node, store)
+    how = _node_status(state, name, node, store)
     reasons: list[Reason] = []
     if how.folder is None:
         return (

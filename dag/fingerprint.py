@@ -21,11 +21,15 @@ cannot change numbers. Helpers count, so an edited helper cannot serve stale res
 **context** is the part of the session's facts and of the calibration items that this block reads: the dark of
 its cameras, the transmission of its band. Pictures enter by the digest of their values.
 
-**reads** are the digests of the *values* of the chunks that the block reads, per input and in order, so equal
-output of a stage above stops the cascade, and compression does not matter.
+**reads** are the digests of the *values* of the chunks that the block reads, per input and in order, and the shape
+and scale in which the kernel gets them. Equal output of a stage above stops the cascade, and compression does not
+matter.
 
 Not in any key, because they cannot change results: paths, names of sessions and nodes, worker counts, chunk
 compression, dates, hosts, notes of calibration items, log and display options.
+
+A task checks that its own process would make the same stage key, so that a worker with older code or other
+libraries refuses instead of storing its numbers under a key that is not theirs.
 """
 
 import ast
@@ -101,6 +105,8 @@ def module_libraries(name: str) -> Mapping[str, str]:
     used = set()
     for module in module_code(name):
         used |= {imported.split(".")[0] for imported in _imports(_parse(module), module)}
+    if "numba" in used:
+        used.add("scipy")  # whose LAPACK numba's linear algebra calls
     return {NUMERIC[u]: importlib.metadata.version(NUMERIC[u]) for u in sorted(used & set(NUMERIC))}
 
 
@@ -174,8 +180,11 @@ def plain_context(context: Any) -> Any:
     return context
 
 
-def block_key(stage_key: str, context: str, reads: Mapping[str, Sequence[str]]) -> str:
-    """Key of a block: its stage, the digest of its context, and the values that it reads."""
+def block_key(stage_key: str, context: str, reads: Mapping[str, Sequence[Any]]) -> str:
+    """Key of a block: its stage, the digest of its context, and per input the pieces that it reads.
+
+    A piece is the digests of its chunks' values, and how they are handed over: shape, scale, fill.
+    """
     return digest_value({"stage": stage_key, "context": context, "reads": {k: list(v) for k, v in reads.items()}})
 
 

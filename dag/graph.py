@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from dag.stage import Params, Stage
 from store import document
+from store.capture import SESSION_NAME as NAME
 from store.document import Document, nearest
 from store.errors import RequestError, raise_all
 
@@ -84,6 +85,11 @@ def load_graph(path: Path, table: Mapping[str, str], *, overrides: Sequence[str]
     nodes: dict[str, Node] = {}
     for name, entry in entries.items():
         at = ("stages", name)
+        if not NAME.fullmatch(name) or name == "current":
+            problems.append(
+                f"{source.at(at)}: '{name}' cannot name a node, because it names a folder: "
+                "letters, digits, dot, dash and underscore, beginning with a letter or digit"
+            )
         if entry.uses not in table:
             spot = source.at((*at, "uses"))
             problems.append(f"{spot}: there is no stage '{entry.uses}'{nearest(entry.uses, table)}")
@@ -109,8 +115,9 @@ def load_graph(path: Path, table: Mapping[str, str], *, overrides: Sequence[str]
         {name: (e.from_,) if isinstance(e.from_, str) else e.from_ for name, e in entries.items()},
         problems,
     )
+    in_a_circle = any("in a circle" in problem for problem in problems)
     for name in order:
-        if name in nodes:
+        if name in nodes and not in_a_circle:
             problems += _misfits(source, nodes[name], nodes)
     raise_all(problems)
     return Graph({name: nodes[name] for name in order}, source.name)

@@ -6,7 +6,7 @@ finds the record of every block whose inputs are known; what is left is what has
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -34,6 +34,10 @@ class Piece:
     shape: tuple[int, ...]
     scale: float | None = None
     fill: int | None = None
+
+    def key_of(self, values: Sequence[str]) -> list[Any]:
+        """What of a piece enters a block's key: its values, and how the kernel gets them."""
+        return [list(values), self.dtype, list(self.shape), self.scale, self.fill]
 
 
 @dataclass(frozen=True)
@@ -103,6 +107,8 @@ class NodeState:
     records: list[BlockRecord | None]
     keys: list[str | None]
     selected: list[bool]
+    remembered: bool = False
+    """Whether the node's record names these very blocks."""
 
     @property
     def node_key(self) -> str | None:
@@ -120,8 +126,12 @@ class NodeState:
         """Whether every selected block is known, and there is one."""
         return any(self.selected) and not self.missing()
 
-    def manifest(self) -> str:
-        """Digest of the values of all selected blocks: names the content."""
+    def manifest(self, said: Mapping[str, Any]) -> str:
+        """Digest of the values of all selected blocks, and of what the group says beside them: names the content.
+
+        Args:
+            said: the group's attributes; labels are added here.
+        """
         content = {
             ",".join(map(str, block.index)): {
                 name: [r.value for r in refs] for name, refs in record.outputs.items()
@@ -129,7 +139,11 @@ class NodeState:
             for block, record, selected in zip(self.plan.blocks, self.records, self.selected, strict=True)
             if record is not None and selected
         }
-        return digest_value(content)[:SHORT]
+        labels = {
+            name: [list(dims), [None if v != v else v for v in values]]
+            for name, (dims, values) in self.plan.grid.labels.items()
+        }
+        return digest_value({"blocks": content, "labels": labels, "said": dict(said)})[:SHORT]
 
     def chunks(self) -> dict[str, dict[ChunkIndex, ChunkRef]]:
         """Per array, the selected chunks by their place."""
@@ -315,6 +329,10 @@ def _piece(upper: NodePlan, name: str, array: ArrayTemplate, selection: Mapping[
         [selection[dim]] if dim in selection else range(count)
         for dim, count in zip(array.dims, array.grid(), strict=True)
     ]
+    if any(array.chunk[array.dims.index(dim)] != 1 for dim in selection):
+        raise StageError(
+            f"{upper.node.name}.{name} cannot be read at one index of {', '.join(selection)}: not chunked so"
+        )
     within = [dim for dim in array.dims if dim not in upper.block_dims]
     counts = dict(zip(array.dims, array.grid(), strict=True))
     chunks = []
@@ -358,25 +376,32 @@ def look_up(plan: Plan, store: Store, *, frames: tuple[int, int] | None = None) 
 def _find_records(state: NodeState, store: Store) -> None:
     node_key = state.node_key
     known = store.records.node(node_key) if node_key is not None else None
+    if known is not None and [record.key for record in known] != state.keys:
+        known = None  # not what the key promises: trust the blocks
+    state.remembered = known is not None
     for i, key in enumerate(state.keys):
         if key is None:
             continue
         record = known[i] if known is not None else store.records.block(key)
-        if record is not None and all(store.chunks.has(ref) for ref in record.chunks()):
-            state.records[i] = record
+        if record is not None and record.key == key and all(store.chunks.has(ref) for ref in record.chunks()):
+            state.records[i] = replace(record, trace={})
+        else:
+            state.remembered = False
 
 
 def known_key(node: NodePlan, block: Block, states: Mapping[str, NodeState]) -> str | None:
     """The block's key, when the records of all that it reads are known."""
-    reads: dict[str, list[str]] = {}
+    reads: dict[str, list[Any]] = {}
     for name, pieces in block.reads.items():
-        values = reads[name] = []
+        reads[name] = []
         for piece in pieces:
+            values = []
             for upper, i, array, offset in piece.chunks:
                 record = states[upper].records[i]
                 if record is None:
                     return None
                 values.append(record.outputs[array][offset].value)
+            reads[name].append(piece.key_of(values))
     return block_key(node.stage_key, block.context, reads)
 
 

@@ -5,13 +5,14 @@ session, the source files of the engine and the stages, the numeric libraries, a
 given only while every result folder and every chunk that it names is there.
 """
 
+import json
 import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from store.digest import digest_bytes, digest_value
+from store.digest import SHORT, digest_bytes, digest_value
 from store.results import ResultName, set_current
 from store.root import Store
 
@@ -32,12 +33,16 @@ def request_key(
     try:
         session_bytes = (store.sessions / session / "session.json").read_bytes()
         pipeline_bytes = pipeline.read_bytes()
-    except OSError:
+        bound = json.loads(session_bytes)["items"]
+        # their notes (rig, valid from) decide whether an item may be used at all
+        items = [(store.calibration / f"{k}-{d[:SHORT]}" / "item.json").read_bytes() for k, d in bound.items()]
+    except (OSError, ValueError, KeyError):
         return None
     return digest_value(
         {
             "session": digest_bytes(session_bytes),
             "pipeline": digest_bytes(pipeline_bytes),
+            "items": [digest_bytes(item) for item in items],
             "overrides": list(overrides),
             "nodes": list(nodes),
             "frames": None if frames is None else list(frames),
@@ -78,11 +83,17 @@ def recall(store: Store, key: str) -> dict[str, Any] | None:
         return None
     blobs = str(store.chunks.folder)
     for node in answer["nodes"].values():
-        if node["folder"] is not None and not os.path.exists(os.path.join(_path(store, answer, node), "zarr.json")):
+        if node["folder"] is None:
+            continue
+        group = os.path.join(store.results, answer["session"], node["name"], node["folder"])
+        if not os.path.exists(f"{group}/zarr.json"):
             return None
-        for blob, size in node["chunks"]:
+        for file, blob, size in node["files"]:
             try:
-                if os.stat(f"{blobs}/{blob[:2]}/{blob}").st_size != size:
+                if (
+                    os.stat(f"{group}/{file}").st_size != size
+                    or os.stat(f"{blobs}/{blob[:2]}/{blob}").st_size != size
+                ):
                     return None
             except OSError:
                 return None
@@ -91,10 +102,6 @@ def recall(store: Store, key: str) -> dict[str, Any] | None:
             recipe, _, manifest = node["folder"].partition("-")
             set_current(ResultName(answer["session"], name, recipe, manifest), store)
     return answer
-
-
-def _path(store: Store, answer: Mapping[str, Any], node: Mapping[str, Any]) -> str:
-    return os.path.join(store.results, answer["session"], node["name"], node["folder"])
 
 
 def remember(store: Store, key: str | None, session: str, results: Mapping[str, Any]) -> dict[str, Any]:
@@ -110,7 +117,7 @@ def remember(store: Store, key: str | None, session: str, results: Mapping[str, 
             "blocks": result.computed + result.reused,
             "bytes": result.size,
             "attrs": {k: result.attrs[k] for k in ("method", "note", "cannot_be_made") if k in result.attrs},
-            "chunks": [[ref.blob, ref.size] for ref in result.chunks],
+            "files": [[file, ref.blob, ref.size] for file, ref in result.files.items()],
         }
         for name, result in results.items()
     }

@@ -9,9 +9,10 @@ import contextlib
 import inspect
 import os
 import platform
+import secrets
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from importlib import import_module
@@ -21,15 +22,15 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dag.fingerprint import block_key, plain_context
+from dag.fingerprint import block_key, plain_context, stage_parts
 from dag.plan import NodePlan, NodeState, Piece, Plan, State, look_up
 from dag.stage import Stage, StageError
 from store.chunks import ChunkRef
 from store.digest import digest_value
 from store.errors import DamagedChunkError, RequestError, WorkError
-from store.keeper import quarantine_chunk
+from store.keeper import verify
 from store.records import BlockRecord
-from store.results import ResultName, current, publish, set_current
+from store.results import ResultName, chunk_file, current, publish, set_current
 from store.root import Store
 
 
@@ -65,7 +66,8 @@ class NodeResult:
     """Time in kernels and writing, summed over threads."""
     size: int
     path: Path | None
-    chunks: tuple[ChunkRef, ...]
+    files: Mapping[str, ChunkRef]
+    """The group's chunks, by their files."""
     attrs: Mapping[str, Any]
 
 
@@ -85,7 +87,13 @@ class BlockTask:
         self.context_digest = block.context
         self.context = node.contexts.get(block.context, {})
         self.arrays = {
-            name: (template.dtype, template.chunk, len(node.chunk_indices(block, name)))
+            name: (
+                template.dtype,
+                template.chunk,
+                tuple(
+                    n for dim, n in zip(template.dims, template.shape, strict=True) if dim not in node.block_dims
+                ),
+            )
             for name, template in node.arrays.items()
         }
         self.reads = block.reads
@@ -101,14 +109,17 @@ def execute(task: BlockTask, *above: BlockRecord) -> BlockRecord:
         name: [[above[task.place[n, i]].outputs[array][k] for n, i, array, k in piece.chunks] for piece in pieces]
         for name, pieces in task.reads.items()
     }
-    values = {name: [ref.value for piece in pieces for ref in piece] for name, pieces in refs.items()}
+    values = {
+        name: [piece.key_of([ref.value for ref in of]) for piece, of in zip(task.reads[name], pieces, strict=True)]
+        for name, pieces in refs.items()
+    }
     key = block_key(task.stage_key, task.context_digest, values)
     known = store.records.block(key)
     if known is not None and all(store.chunks.has(ref) for ref in known.chunks()):
         return known
     began = time.perf_counter()
     stage: Stage = import_module(task.stage_module).STAGE
-    _single_threaded_libraries()
+    _check_code(task, stage)
     try:
         outputs = _call_kernel(task, stage, refs, store)
     except StageError as error:
@@ -131,6 +142,20 @@ def execute(task: BlockTask, *above: BlockRecord) -> BlockRecord:
     elif known is not None:
         store.records.renew_block(record)  # the same values, whose chunks had been lost
     return record
+
+
+_checked: set[str] = set()
+
+
+def _check_code(task: BlockTask, stage: Stage) -> None:
+    """Refuse when this process would compute something else than the one that made the key."""
+    if task.stage_key not in _checked:
+        if digest_value(stage_parts(stage, task.stage_module, task.params)) != task.stage_key:
+            raise WorkError(
+                f"a worker has other code or libraries for the stage {stage.name} than this command; "
+                "restart the cluster, and give it the same environment"
+            )
+        _checked.add(task.stage_key)
 
 
 def _call_kernel(
@@ -170,31 +195,32 @@ def _write(
     task: BlockTask, outputs: Mapping[str, Any], store: Store
 ) -> tuple[dict[str, tuple[ChunkRef, ...]], dict[str, float]]:
     written: dict[str, tuple[ChunkRef, ...]] = {}
-    for name, (dtype, chunk, count) in task.arrays.items():
+    for name, (dtype, chunk, shape) in task.arrays.items():
         array = np.asarray(outputs[name])
-        expected = count * int(np.prod(chunk))
-        if array.dtype != np.dtype(dtype) or array.size != expected:
+        if array.dtype != np.dtype(dtype) or array.shape != shape:
             raise WorkError(
                 f"{task.node}, {task.block}: the kernel gave '{name}' as {array.dtype}{array.shape}; declared is "
-                f"{dtype} in {count} chunk(s) of {chunk}"
+                f"{dtype}{shape}"
             )
-        written[name] = tuple(store.chunks.put(part) for part in array.reshape(count, *chunk))
+        written[name] = tuple(store.chunks.put(part) for part in array.reshape(-1, *chunk))
     stats = {name: float(value) for name, value in outputs.get("stats", {}).items()}
     return written, stats
 
 
+_MOST_PREPARED = 8  # a camera pair's dark, gain and map are 32 MB at 1624 x 1236
 _prepared: dict[tuple[str, str, str], Mapping[str, Any]] = {}
 _preparing = threading.Lock()
 
 
 def prepare(stage: Stage, module: str, context: Mapping[str, Any], digest: str, params: Any) -> Mapping[str, Any]:
     """The context as the kernel gets it; made once per process for each stage, context and parameters."""
+    _single_threaded_libraries()
     if stage.prepare is None:
         return context
     key = (module, digest, digest_value(params.model_dump(mode="json")))
     with _preparing:
         if key not in _prepared:
-            while len(_prepared) >= 64:
+            while len(_prepared) >= _MOST_PREPARED:
                 _prepared.pop(next(iter(_prepared)))
             accepted = inspect.signature(stage.prepare).parameters
             chosen = {name: value for name, value in params if name in accepted}
@@ -220,30 +246,39 @@ def _single_threaded_libraries() -> None:
 
 
 def run(
-    plan: Plan, store: Store, watcher: Watcher, *, frames: tuple[int, int] | None = None, where: Where
-) -> State:
+    plan: Plan,
+    store: Store,
+    watcher: Watcher,
+    *,
+    frames: tuple[int, int] | None = None,
+    where: Where,
+    versions: Mapping[str, str],
+) -> tuple[State, dict[str, NodeResult]]:
     """Compute every selected block of a plan that is not known, and publish the results.
 
-    A damaged chunk that is met on the way is quarantined and made again.
+    When a damaged chunk is met, the whole store is verified, what is damaged is quarantined, and the run goes on.
 
     Raises:
-        WorkError: a kernel refused, the disk is full, a raw picture is damaged.
+        WorkError: a kernel refused, the disk is full, a raw or a calibration picture is damaged.
     """
     _stores[store.root] = store
-    for _ in range(8):
+    computed: set[str] = set()
+    while True:
         state = look_up(plan, store, frames=frames)
         try:
-            _compute(state, store, watcher, where)
-            return state
+            _compute(state, store, watcher, where, computed)
+            return state, publish_results(state, store, versions, computed)
         except DamagedChunkError as damage:
-            told = quarantine_chunk(store, damage.blob)
-            if "import" in told:
-                raise WorkError(f"{damage}; it was {told}") from None
-            watcher.warn(f"{damage}; it was {told}")
-    raise WorkError(f"chunks in {store.root} are damaged faster than they are made again; check the disk")
+            found = verify(store).damaged
+            for one in found:
+                watcher.warn(f"{one.path} was damaged: {one.belongs_to}; {one.remedy}")
+            lasting = [one for one in found if not one.recomputable]
+            if lasting or not (found or not store.chunks.path(damage.blob).exists()):
+                remedy = lasting[0].remedy if lasting else "check the disk"
+                raise WorkError(f"{damage}; {remedy}") from None
 
 
-def _compute(state: State, store: Store, watcher: Watcher, where: Where) -> None:
+def _compute(state: State, store: Store, watcher: Watcher, where: Where, computed: set[str]) -> None:
     missing = {name: node.missing() for name, node in state.nodes.items()}
     missing = {name: blocks for name, blocks in missing.items() if blocks}
     watcher.begin({name: sum(node.selected) for name, node in state.nodes.items() if not _is_source(node)})
@@ -255,11 +290,13 @@ def _compute(state: State, store: Store, watcher: Watcher, where: Where) -> None
     if not missing:
         return
     _check_contexts(state, missing)
+    # two commands on one cluster must not take each other's tasks for their own
+    token = secrets.token_hex(8)
     graph: dict[Any, Any] = {}
     for name, blocks in missing.items():
         for i in blocks:
-            graph[name, i] = _as_task(state, name, i, store)
-    on_done = _Collector(state, watcher)
+            graph[f"{name}-{token}", i] = _as_task(state, name, i, store, token)
+    on_done = _Collector(state, watcher, token, computed)
     if where.scheduler or where.workers:
         _run_distributed(graph, where, on_done)
     else:
@@ -270,7 +307,7 @@ def _is_source(node: NodeState) -> bool:
     return node.plan.node.stage.is_source
 
 
-def _as_task(state: State, name: str, index: int, store: Store) -> tuple[Any, ...]:
+def _as_task(state: State, name: str, index: int, store: Store, token: str) -> tuple[Any, ...]:
     node = state.nodes[name].plan
     above: dict[tuple[str, int], int] = {}
     for pieces in node.blocks[index].reads.values():
@@ -280,7 +317,7 @@ def _as_task(state: State, name: str, index: int, store: Store) -> tuple[Any, ..
     arguments = []
     for upper, i in above:
         record = state.nodes[upper].records[i]
-        arguments.append((upper, i) if record is None else _Known(record))
+        arguments.append((f"{upper}-{token}", i) if record is None else _Known(record))
     return (_execute_known, BlockTask(node, index, store.root, above), *arguments)
 
 
@@ -317,11 +354,14 @@ def _check_contexts(state: State, missing: Mapping[str, Sequence[int]]) -> None:
 class _Collector:
     """Takes in finished blocks."""
 
-    def __init__(self, state: State, watcher: Watcher) -> None:
-        self._state, self._watcher = state, watcher
+    def __init__(self, state: State, watcher: Watcher, token: str, computed: set[str]) -> None:
+        self._state, self._watcher, self._suffix, self._computed = state, watcher, f"-{token}", computed
 
     def __call__(self, key: tuple[str, int], record: BlockRecord) -> None:
-        name, index = key
+        name, index = key[0].removesuffix(self._suffix), key[1]
+        record = replace(record, trace={})
+        if not record.reused:
+            self._computed.add(record.key)
         if "not_deterministic" in record.stats:
             node = self._state.nodes[name].plan
             self._watcher.warn(
@@ -381,46 +421,31 @@ def _client(where: Where) -> Iterator[Any]:
         yield client
 
 
-def publish_results(state: State, store: Store, versions: Mapping[str, str]) -> dict[str, NodeResult]:
+def publish_results(
+    state: State, store: Store, versions: Mapping[str, str], computed: Set[str]
+) -> dict[str, NodeResult]:
     """Make the result folder of every node that has blocks, and let `current` name it."""
     results = {}
     for name, node in state.nodes.items():
         if not _is_source(node):
-            results[name] = _publish(state, name, node, store, versions)
+            results[name] = _publish(state, name, node, store, versions, computed)
     return results
 
 
-def _publish(state: State, name: str, node: NodeState, store: Store, versions: Mapping[str, str]) -> NodeResult:
+def _publish(
+    state: State, name: str, node: NodeState, store: Store, versions: Mapping[str, str], made: Set[str]
+) -> NodeResult:
     chosen = [r for r, selected in zip(node.records, node.selected, strict=True) if r is not None and selected]
-    computed = [record for record in chosen if not record.reused]
-    refs = tuple(ref for record in chosen for ref in record.chunks())
-    stats = {
-        key: float(np.mean([r.stats[key] for r in chosen])) for key in sorted({k for r in chosen for k in r.stats})
-    }
+    # counted over all rounds of a run: what was made before a damaged chunk was met was made, too
+    computed = [record for record in chosen if record.key in made]
+    chunks = node.chunks()
+    files = {chunk_file(array, index): ref for array, placed in chunks.items() for index, ref in placed.items()}
     plan = node.plan
-    attrs = {**{k: v for k, v in plan.grid.attrs.items() if v != ""}, **stats}
-    if plan.absent:
-        attrs["calibration_absent"] = "; ".join(
-            f"{kind}: {plan.node.stage.calibration[kind].why}" for kind in plan.absent
-        )
+    attrs = result_attrs(state, node)
     path = None
     if chosen:
         session = state.plan.session
-        result = ResultName(session.name, name, plan.recipe, node.manifest())
-        if len(chosen) < len(plan.blocks):
-            attrs["partial"] = f"{len(chosen)} of {len(plan.blocks)} blocks"
-        items = {
-            kind: state.plan.items[kind].name for kind in plan.node.stage.calibration if kind in state.plan.items
-        }
-        attrs |= {
-            "session": session.name,
-            "node": name,
-            "stage": plan.node.stage.name,
-            "recipe": plan.recipe,
-            "parameters": plan.node.params.model_dump(mode="json"),
-            "calibration_items": items,
-        }
-        chunks = node.chunks()
+        result = ResultName(session.name, name, plan.recipe, node.manifest(attrs))
         path = publish(
             result,
             store,
@@ -433,11 +458,11 @@ def _publish(state: State, name: str, node: NodeState, store: Store, versions: M
                 "inputs": _input_values(state, node),
                 "above": {u: current(session.name, u, store) for u in plan.node.above},
                 "before": current(session.name, name, store),
-                "items": items,
+                "items": attrs["calibration_items"],
                 "versions": dict(versions),
                 "computed": len(computed),
                 "seconds": sum(record.seconds for record in chosen),
-                "bytes": sum(ref.size for ref in refs),
+                "bytes": sum(ref.size for ref in files.values()),
                 "host": platform.node(),
                 "finished": datetime.now(UTC).isoformat(timespec="seconds"),
                 "chunks": {
@@ -447,19 +472,43 @@ def _publish(state: State, name: str, node: NodeState, store: Store, versions: M
             },
         )
         set_current(result, store)
-        if len(chosen) == len(plan.blocks) and node.node_key is None:
+        if current(session.name, name, store) != result.folder:
+            raise WorkError(f"{path} was removed while it was published (gc with too short a grace?); run again")
+        if len(chosen) == len(plan.blocks) and not node.remembered:
             node.keys = [record.key for record in chosen]
-        if len(chosen) == len(plan.blocks) and node.node_key is not None:
-            store.records.put_node(node.node_key, chosen)
+            store.records.put_node(str(node.node_key), chosen)
     return NodeResult(
         computed=len(computed),
         reused=len(chosen) - len(computed),
         seconds=sum(record.seconds for record in computed),
         size=sum(record.size for record in chosen),
         path=path,
-        chunks=refs,
+        files=files,
         attrs=attrs,
     )
+
+
+def result_attrs(state: State, node: NodeState) -> dict[str, Any]:
+    """What a result's group says of itself; nothing that differs from one run to the next."""
+    plan = node.plan
+    chosen = [r for r, selected in zip(node.records, node.selected, strict=True) if r is not None and selected]
+    names = sorted({name for record in chosen for name in record.stats})
+    stats = {name: float(np.mean([record.stats[name] for record in chosen])) for name in names}
+    attrs = {**{k: v for k, v in plan.grid.attrs.items() if v != ""}, **stats}
+    if plan.absent:
+        needs = plan.node.stage.calibration
+        attrs["calibration_absent"] = "; ".join(f"{kind}: {needs[kind].why}" for kind in plan.absent)
+    if len(chosen) < len(plan.blocks):
+        attrs["partial"] = f"{len(chosen)} of {len(plan.blocks)} blocks"
+    items = state.plan.items
+    return attrs | {
+        "session": state.plan.session.name,
+        "node": plan.node.name,
+        "stage": plan.node.stage.name,
+        "recipe": plan.recipe,
+        "parameters": plan.node.params.model_dump(mode="json"),
+        "calibration_items": {k: items[k].name for k in plan.node.stage.calibration if k in items},
+    }
 
 
 def plain_parts(plan: NodePlan) -> dict[str, Any]:

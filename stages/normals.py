@@ -14,6 +14,7 @@ inter-reflection stay in the result (docs/accuracy.md measures them).
 Sources: Ma et al. (2007), Wilson et al. (2010), Dutta (2010) chapter 3, Woodham (1980).
 """
 
+import contextlib
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
@@ -42,6 +43,9 @@ class NormalsParams(Params):
     fuse: Literal["none", "bands"] = Field("none", description="bands: one map from all bands, weighted by noise")
 
 
+_BY_NOISE = ("difference", "minimal", "ratio", "least_squares")
+
+
 class Choice(NamedTuple):
     """A method and the pictures that it reads."""
 
@@ -60,10 +64,12 @@ def choose(have: Sequence[str], *, method: str = "auto", base: str = "auto", cor
         StageError: the set does not support what was asked for; says what is missing and what would work.
     """
     present = set(have)
+    if base != "auto" and method not in ("auto", "minimal"):
+        raise StageError(f"base: {base} belongs to method: minimal; {method} has none, so set base: auto")
+    if base != "auto":
+        method = "minimal"
     lights = tuple(name for name in dict.fromkeys(have) if name.startswith("L"))
-    supported = [
-        name for name in ("difference", "minimal", "ratio", "least_squares") if _supports(name, base, present)
-    ]
+    supported = [name for name in _BY_NOISE if _supports(name, base, present)]
     chosen = (supported[0] if supported else None) if method == "auto" else method
     if chosen not in supported:
         works = f"method: {' or '.join(supported)} would work" if supported else "no method works with these"
@@ -158,6 +164,7 @@ def normals(
     if diffuse_constant:
         constants = [[radiance[bands * count + b]] for b in range(bands)]
         albedo = fuse(constants, ["C"])[0] if bands > 1 else np.asarray(constants[0][0])
+        albedo = np.where(result.valid, albedo, np.float32(np.nan))
     return {"normal": result.normal, "albedo": albedo, "norm": result.norm, "valid": result.valid}
 
 
@@ -302,21 +309,22 @@ def _sets(
         return [(place.get("C", 0), choice, place)]
     tracking = [i for i, name in enumerate(illumination) if name == "C"]
     found: list[tuple[int, Choice, dict[str, int]]] = []
-    refusal: StageError | None = None
+    windows: list[list[str]] = []
     for k, frame in enumerate(tracking):
         first = tracking[k - 1] + 1 if k else 0
         last = tracking[k + 1] if k + 1 < len(tracking) else len(illumination)
         at: dict[str, int] = {}
         for i in sorted(range(first, last), key=lambda i: abs(i - frame)):
             at.setdefault(illumination[i], i)
-        try:
+        windows.append(list(at))
+        with contextlib.suppress(StageError):
             found.append((frame, choose(list(at), **ask), at))
-        except StageError as error:
-            refusal = error
     if not found:
+        works = [m for m in _BY_NOISE if any(_supports(m, "auto", set(window)) for window in windows)]
+        hint = f"method: {' or '.join(works)} with base: auto would work" if works else "no method works with these"
         raise StageError(
-            "no tracking frame (C) has a full set between its neighbours: "
-            + (str(refusal) if refusal else "the session has no C frame")
+            f"{params.method} needs {_needs(params.method, params.base)} between the tracking frames (C) before "
+            f"and after one; the session has {' '.join(illumination[:24])} ({len(illumination)} frames); {hint}"
         )
     return found
 

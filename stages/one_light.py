@@ -47,6 +47,7 @@ def solve(pictures: Sequence[NDArray[np.float32]], lights: NDArray[np.float64]) 
     with np.errstate(invalid="ignore", divide="ignore"):
         steps = np.floor(sums / albedo * np.float32(STEPS) + np.float32(0.5))
     normal = np.where(valid, steps, np.float32(FILL)).astype(np.int16)
+    albedo = np.where(valid, albedo, np.float32(np.nan))
     norm = np.where(valid, np.float32(1 / 3), np.float32(np.nan))
     return Normals(normal, albedo, norm, valid)
 

@@ -197,7 +197,10 @@ def _homography(items: Items, cameras: Sequence[str], reference: str) -> list[li
         raise StageError(
             f"the homography goes from {item['from']} to {item['to']}; one from {other} to {reference} is needed"
         )
-    return [[float(value) for value in row] for row in matrix / matrix[2, 2]]
+    # one scale for equal maps; a map that sends the origin to infinity has a 0 in that place
+    largest = np.abs(matrix).max()
+    scale = matrix[2, 2] if abs(matrix[2, 2]) > 1e-9 * largest else largest
+    return [[float(value) for value in row] for row in matrix / scale]
 
 
 def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: RegisterParams) -> Arrangement:

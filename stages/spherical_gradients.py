@@ -95,7 +95,7 @@ class Normals(NamedTuple):
     normal: NDArray[np.int16]
     """(xyz, y, x), in steps of 1 / STEPS; FILL where there is none."""
     constant: NDArray[np.float32]
-    """(y, x): r_c."""
+    """(y, x): r_c; NaN where there is no normal, as in a point without light."""
     norm: NDArray[np.float32]
     """(y, x): |g| / (2 r_c), NaN where there is no normal."""
     valid: NDArray[np.bool_]
@@ -164,9 +164,9 @@ def _solve(
         gz = z0 * rz + z1 * rzc + z2 * rc + z3 * pair
         sum_c = c0 * rc + c1 * pair + c2 * (rx + rxc + ry + ryc + rz + rzc)
         square = gx * gx + gy * gy + gz * gz
-        good = square > 0  # not so for NaN
+        good = (square > 0) & (sum_c > 0)  # not so for NaN, nor where there is no light
         length = np.sqrt(square)
-        total[i] = sum_c
+        total[i] = sum_c if good else _NAN
         norm[i] = _HALF * length / sum_c if good else _NAN
         valid[i] = good
         if qp is not None:

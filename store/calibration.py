@@ -9,7 +9,7 @@ The digest is of the numbers alone: other formatting, another comment, another r
 """
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from store import document
-from store.chunks import ChunkRef
+from store.capture import Date
+from store.chunks import ChunkRef, Chunks
 from store.digest import SHORT, digest_value
-from store.errors import DamagedChunkError, RequestError
+from store.errors import RequestError
 from store.files import replace
 from store.picture import PictureError, decode, read_file
 from store.root import Store
@@ -36,7 +37,7 @@ class _Item(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, populate_by_name=True, allow_inf_nan=False)
 
     rig: str | None = Field(None, description="the rig that this was measured on")
-    valid_from: str | None = Field(None, description="date from which it holds, ISO 8601")
+    valid_from: Date | None = Field(None, description="date from which it holds, ISO 8601")
     measured_from: str | None = Field(None, description="the session it was measured from")
     residuals: Any = Field(None, description="how well it fits")
 
@@ -197,7 +198,7 @@ class Item:
         return f"{self.kind}-{self.digest[:SHORT]}"
 
 
-def read_item(path: Path, store: Store, *, kind: str | None = None) -> tuple[Item, bytes]:
+def read_item(path: Path, chunks: Chunks, *, kind: str | None = None) -> tuple[Item, bytes]:
     """Read and check an item file; its pictures go into the store as chunks. Returns it with the file's bytes.
 
     Raises:
@@ -205,6 +206,10 @@ def read_item(path: Path, store: Store, *, kind: str | None = None) -> tuple[Ite
     """
     source = document.load(path, what=f"a calibration item ({kind or ', '.join(KINDS)})")
     found = source.value.get("item") if isinstance(source.value, dict) else None
+    if found is None:
+        raise RequestError(
+            f"{source.at(())}: 'item' is missing; an item file begins with one of {', '.join(KINDS)}"
+        )
     if not isinstance(found, str) or found not in KINDS:
         hint = document.nearest(str(found), KINDS)
         raise RequestError(f"{source.at(('item',))}: the item '{found}' is not known{hint}")
@@ -225,7 +230,7 @@ def read_item(path: Path, store: Store, *, kind: str | None = None) -> tuple[Ite
         except PictureError as error:
             problems.append(f"{source.at(('images', camera))}: {file} {error}")
             continue
-        pictures[camera] = StoredPicture(store.chunks.put(pixels), pixels.dtype.str, pixels.shape)
+        pictures[camera] = StoredPicture(chunks.put(pixels), pixels.dtype.str, pixels.shape)
     if problems:
         raise RequestError("\n".join(problems))
     content = {"values": values, "pictures": {camera: p.chunk.value for camera, p in pictures.items()}}
@@ -244,6 +249,11 @@ def _without_notes(value: Any) -> Any:
 def put_item(item: Item, original: bytes, store: Store) -> None:
     """Keep an item in the store; the notes of the newest file with these numbers win."""
     folder = store.calibration / item.name
+    try:
+        if (folder / "item.yaml").read_bytes() == original and get_item(item.kind, item.digest, store) == item:
+            return
+    except (OSError, RequestError):
+        pass
     plain = {
         "kind": item.kind,
         "digest": item.digest,
@@ -264,20 +274,22 @@ def get_item(kind: str, digest: str, store: Store) -> Item:
     path = store.calibration / f"{kind}-{digest[:SHORT]}" / "item.json"
     try:
         plain = json.loads(path.read_bytes())
-    except (FileNotFoundError, ValueError):
+        pictures = {camera: StoredPicture.from_plain(picture) for camera, picture in plain["pictures"].items()}
+        return Item(plain["kind"], plain["digest"], plain["values"], plain["notes"], pictures)
+    except FileNotFoundError:
         raise RequestError(
-            f"the {kind} item {digest[:SHORT]} is not in the store; import its capture again"
+            f"the {kind} item {digest[:SHORT]} is not in the store; import the capture that it came with again"
         ) from None
-    pictures = {camera: StoredPicture.from_plain(picture) for camera, picture in plain["pictures"].items()}
-    return Item(plain["kind"], plain["digest"], plain["values"], plain["notes"], pictures)
+    except (ValueError, KeyError, TypeError):
+        raise RequestError(f"{path} is damaged; import the capture that it came with again") from None
 
 
 def all_items(store: Store) -> list[Item]:
     """Every item in the store, by name."""
     items = []
     for path in sorted(store.calibration.glob("*/item.json")):
-        plain = json.loads(path.read_bytes())
-        items.append(get_item(plain["kind"], plain["digest"], store))
+        kind, _, digest = path.parent.name.rpartition("-")
+        items.append(get_item(kind, digest, store))
     return items
 
 
@@ -297,7 +309,7 @@ def find_item(name: str, store: Store) -> Item:
     raise RequestError(f"no calibration item '{name}' in {store.root}{hint}")
 
 
-def items_in(folder: Path, store: Store) -> tuple[dict[str, tuple[Item, bytes]], list[str]]:
+def items_in(folder: Path, chunks: Chunks) -> tuple[dict[str, tuple[Item, bytes]], list[str]]:
     """The items of a capture's calibration folder by kind, and what was passed over.
 
     Raises:
@@ -319,7 +331,7 @@ def items_in(folder: Path, store: Store) -> tuple[dict[str, tuple[Item, bytes]],
             ):
                 warnings.append(f"{path}: no stage reads a '{kind}' item; passed over")
                 continue
-            item, original = read_item(path, store)
+            item, original = read_item(path, chunks)
         except RequestError as error:
             problems.append(str(error))
             continue
@@ -340,12 +352,3 @@ def not_valid_for(item: Item, *, rig: str | None, captured: str | None) -> str |
     if valid_from and captured and str(captured)[:10] < str(valid_from)[:10]:
         return f"it is valid from {valid_from}, the session was captured on {captured}"
     return None
-
-
-def check_pictures(item: Item, store: Store, *, repair: Callable[[str], None]) -> None:
-    """Read every picture of an item, and report the blob of each damaged one to `repair`."""
-    for picture in item.pictures.values():
-        try:
-            picture.load(store)
-        except DamagedChunkError as damage:
-            repair(damage.blob)

@@ -8,11 +8,12 @@ import re
 import string
 from collections.abc import Iterator
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from store import document
 from store.errors import RequestError, raise_all
@@ -22,6 +23,17 @@ ILLUMINATION = re.compile(r"C|[XYZ]c?|L[0-9]+|T[0-3]|O")
 SESSION_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 Polarisation = Literal["parallel", "cross", "unpolarised"]
 POLARISATIONS: tuple[Polarisation, ...] = ("parallel", "cross", "unpolarised")
+
+
+def _iso_date(text: str) -> str:
+    try:
+        datetime.fromisoformat(text)
+    except ValueError:
+        raise ValueError(f"'{text}' is no date; expected ISO 8601, such as 2010-03-12T14:05:00") from None
+    return text
+
+
+Date = Annotated[str, AfterValidator(_iso_date)]
 
 
 class _Part(BaseModel):
@@ -52,13 +64,37 @@ class Frame(_Part):
         return self
 
 
+class MirrorBall(_Part):
+    """A chrome ball."""
+
+    kind: Literal["mirror_ball"]
+    radius_mm: float | None = Field(None, gt=0)
+
+
+class Checkerboard(_Part):
+    """A board of squares."""
+
+    kind: Literal["checkerboard"]
+    inner_corners: tuple[int, int] = Field(description="columns, rows")
+    square_mm: float = Field(gt=0)
+
+
+class Plain(_Part):
+    """Nothing, or something uniform."""
+
+    kind: Literal["dark", "flat", "white"]
+
+
+Target = Annotated[MirrorBall | Checkerboard | Plain, Field(discriminator="kind")]
+
+
 class CaptureFile(_Part):
     """`capture.yaml`."""
 
     format: Literal["lightstage-capture/1"] = Field(description="lightstage-capture/1")
     session: str = Field(description="the session's name")
     rig: str | None = Field(None, description="which rig")
-    captured: str | None = Field(None, description="date and time, ISO 8601")
+    captured: Date | None = Field(None, description="date and time, ISO 8601")
     bits: int = Field(ge=1, le=16, description="significant bits in the integer pictures")
     frame_rate_hz: float | None = Field(None, gt=0, description="null for a static capture")
     cameras: dict[Polarisation, str] = Field(description="polarisation: camera")
@@ -68,7 +104,7 @@ class CaptureFile(_Part):
     frames: tuple[Frame, ...] = Field(min_length=1, description="the exposures in capture order")
     calibration: str | None = Field(None, description="folder of the items that came with the capture")
     mask: str | None = Field(None, description="picture that is non-zero where the subject is")
-    target: dict[str, Any] | None = Field(None, description="the calibration target in the picture")
+    target: Target | None = Field(None, description="the calibration target in the picture")
     encoding: Literal["linear", "srgb"] = "linear"
     colour: Literal["mono", "rgb"] = "mono"
     intensities: dict[str, float | tuple[float, ...]] = Field(default_factory=dict)
@@ -77,7 +113,7 @@ class CaptureFile(_Part):
     def _fits_together(self) -> "CaptureFile":
         problems = list(_conflicts(self))
         if problems:
-            raise ValueError("; ".join(problems))
+            raise ValueError("\n".join(problems))
         return self
 
     @property
@@ -88,13 +124,15 @@ class CaptureFile(_Part):
 
 def _conflicts(capture: CaptureFile) -> Iterator[str]:
     if not SESSION_NAME.fullmatch(capture.session):
-        yield f"the session name '{capture.session}' may hold only letters, digits, dot, dash and underscore"
+        yield f"session: the name '{capture.session}' may hold only letters, digits, dot, dash and underscore"
     if not capture.cameras:
         yield "cameras: name at least one of parallel, cross or unpolarised"
     if "unpolarised" in capture.cameras and len(capture.cameras) > 1:
         yield "cameras: an unpolarised camera stands alone; a second camera is either parallel or cross"
     if len(set(capture.cameras.values())) < len(capture.cameras):
         yield "cameras: one camera cannot have two polarisations"
+    if any(band < 0 for band in capture.bands_nm):
+        yield "bands_nm: a wavelength is positive, and 0 stands for unfiltered light"
     if len(set(capture.bands_nm)) < len(capture.bands_nm):
         yield "bands_nm: a band stands twice"
     if capture.colour == "rgb" and len(capture.bands_nm) != 3:
@@ -105,7 +143,7 @@ def _conflicts(capture: CaptureFile) -> Iterator[str]:
         yield f"encoding: srgb is defined for 8 and 16 bits, not {capture.bits}"
     unnamed = [i for i, frame in enumerate(capture.frames) if frame.file is None]
     if capture.files is None and unnamed:
-        yield f"'files' is missing, and frame {unnamed[0]} does not name its own picture"
+        yield f"files: the template is missing, and frame {unnamed[0]} does not name its own picture"
     for template in {capture.files, *(frame.file for frame in capture.frames)} - {None}:
         yield from _template_problems(str(template))
     present = {frame.illumination for frame in capture.frames}

@@ -5,14 +5,16 @@ a result folder can hard-link it. It lies at `cache/blobs/<2 digits>/<digest of 
 never changed. Reading checks that digest: a damaged chunk can stop a run but cannot enter a result.
 """
 
+import contextlib
 import os
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
 
 from store.digest import digest_array, digest_bytes
 from store.errors import DamagedChunkError
-from store.files import Scratch, put_if_absent
+from store.files import Scratch, full_disk_is_named, put_if_absent, replace
 
 if TYPE_CHECKING:
     import numpy as np
@@ -66,15 +68,23 @@ class Chunks:
         except OSError:
             return False
 
+    def intact(self, ref: ChunkRef) -> bool:
+        """Whether the chunk is there with its content; reads it."""
+        try:
+            return digest_bytes(self.path(ref.blob).read_bytes()) == ref.blob
+        except OSError:
+            return False
+
     def put(self, array: "NDArray[np.generic]") -> ChunkRef:
         """Store an array as one chunk; an equal one that is already there is used."""
-        value = digest_array(array)
-        encoded = _encode(array)
-        blob = digest_bytes(encoded)
-        path = self.path(blob)
-        if not path.exists():
-            put_if_absent(self._scratch, path, encoded)
-        return ChunkRef(value, blob, len(encoded))
+        ref, encoded = _sealed(array)
+        path = self.path(ref.blob)
+        if self.has(ref):
+            with contextlib.suppress(OSError):
+                os.utime(path)  # in use again: `gc` must not take it for old
+        elif not put_if_absent(self._scratch, path, encoded) and not self.has(ref):
+            replace(self._scratch, path, encoded)  # what stood there had lost its end
+        return ref
 
     def get(self, ref: ChunkRef, *, dtype: str, shape: tuple[int, ...]) -> "NDArray[Any]":
         """Read a chunk, read-only.
@@ -98,6 +108,39 @@ class Chunks:
         array = np.frombuffer(_decode(encoded), dtype=dtype).reshape(shape)
         array.flags.writeable = False
         return array
+
+
+class Staging(Chunks):
+    """Chunks that become part of the store all together, when all else is known to be right, or not at all."""
+
+    def __init__(self, target: Chunks, scratch: Scratch) -> None:
+        super().__init__(scratch.path(), scratch)
+        self._target = target
+
+    def put(self, array: "NDArray[np.generic]") -> ChunkRef:
+        """Store an array for the time being; one that the store has already is not written again."""
+        ref, encoded = _sealed(array)
+        if not self._target.intact(ref) and not self.path(ref.blob).exists():
+            put_if_absent(self._scratch, self.path(ref.blob), encoded)
+        return ref
+
+    def commit(self) -> None:
+        """Let the store have them."""
+        for path in sorted(self.folder.glob("*/*")):
+            target = self._target.path(path.name)
+            with full_disk_is_named(target):
+                target.parent.mkdir(parents=True, exist_ok=True)
+                os.replace(path, target)
+        self.discard()
+
+    def discard(self) -> None:
+        """Forget them."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+
+def _sealed(array: "NDArray[np.generic]") -> tuple[ChunkRef, bytes]:
+    encoded = _encode(array)
+    return ChunkRef(digest_array(array), digest_bytes(encoded), len(encoded)), encoded
 
 
 def _encode(array: "NDArray[np.generic]") -> bytes:

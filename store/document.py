@@ -139,15 +139,34 @@ def check(document: Document, model: type[Model], *, where: Where = ()) -> Model
     try:
         return model.model_validate(value)
     except ValidationError as error:
-        lines = [sentence(document, model, where, dict(problem)) for problem in error.errors()]
+        problems: list[dict[str, Any]] = [dict(problem) for problem in error.errors()]
+        deeper = {problem["loc"][: i + 1] for problem in problems for i in range(len(problem["loc"]) - 1)}
+        # a list whose element is wrong is also "too short", which nobody needs to hear
+        problems = [p for p in problems if not (p["type"] == "too_short" and p["loc"] in deeper)]
+        lines = [line for problem in problems for line in sentence(document, model, where, problem).splitlines()]
         raise RequestError("\n".join(dict.fromkeys(lines))) from None
 
 
+_PLAIN_WORDS = {
+    "tuple_type": "a list is expected",
+    "list_type": "a list is expected",
+    "dict_type": "keys with values are expected",
+    "model_type": "keys with values are expected",
+    "model_attributes_type": "keys with values are expected",
+    "string_type": "text is expected",
+    "int_type": "a whole number is expected",
+    "float_type": "a number is expected",
+    "bool_type": "true or false is expected",
+    "too_short": "too few entries",
+    "too_long": "too many entries",
+}
+
+
 def sentence(document: Document, model: "type[BaseModel]", where: Where, problem: Mapping[str, Any]) -> str:
-    """One line for one of pydantic's errors."""
-    location = tuple(step for step in problem["loc"] if step != "[key]")
-    full = (*where, *location)
-    place = document.at(full)
+    """One of pydantic's errors as `file:line:column: ...`; a model's own check may say several, a line each."""
+    # pydantic names the branch of a union in the location; a person has not written it
+    location = tuple(s for s in problem["loc"] if not (isinstance(s, str) and (s in _BRANCHES or "[" in s)))
+    place = document.at((*where, *location))
     name = ".".join(str(step) for step in location)
     kind, found = problem["type"], problem.get("input")
     if kind == "extra_forbidden":
@@ -156,15 +175,24 @@ def sentence(document: Document, model: "type[BaseModel]", where: Where, problem
     if kind == "missing":
         description = _description(model, location)
         return f"{place}: '{name}' is missing" + (f": {description}" if description else "")
-    message = str(problem["msg"]).removeprefix("Value error, ")
-    message = message[0].lower() + message[1:]
+    if kind == "value_error":
+        lines = str(problem["msg"]).removeprefix("Value error, ").splitlines()
+        if location and location[-1] in _fields(model, location[:-1]):
+            return "\n".join(f"{place}: {name}: {line}" for line in lines)
+        # a check over several keys says itself which one is wrong
+        return "\n".join(f"{document.at((*where, *location, line.split(':')[0]))}: {line}" for line in lines)
+    message = _PLAIN_WORDS.get(kind, str(problem["msg"][0]).lower() + str(problem["msg"])[1:])
+    message = message.removeprefix("input ")
+    hint = ""
     if kind == "literal_error" and isinstance(found, str):
         options = re.findall(r"'([^']*)'", message)
-        message += nearest(found, options) if nearest(found, options).startswith("; did") else ""
-    shown = repr(found) if not isinstance(found, dict | tuple) else "what stands there"
-    return f"{place}: {name + ': ' if name else ''}{message}" + (
-        "" if kind == "value_error" else f", found {shown}"
-    )
+        hint = nearest(found, options) if len(options) > 1 else ""
+        hint = hint if hint.startswith("; did") else ""
+    shown = f", found {found!r}" if not isinstance(found, dict | tuple) else ""
+    return f"{place}: {name + ': ' if name else ''}{message}{shown}{hint}"
+
+
+_BRANCHES = ("str", "int", "float", "bool", "mirror_ball", "checkerboard", "dark", "flat", "white")
 
 
 def nearest(word: str, known: Iterable[str]) -> str:

@@ -31,6 +31,17 @@ class DamagedChunkError(WorkError):
         return (DamagedChunkError, (str(self), self.blob))
 
 
+class DamagedFileError(WorkError):
+    """One of the store's own small files cannot be read."""
+
+    def __init__(self, path: object, remedy: str) -> None:
+        super().__init__(f"{path} is damaged; {remedy}")
+        self.path, self.remedy = path, remedy
+
+    def __reduce__(self) -> tuple[type, tuple[object, str]]:
+        return (DamagedFileError, (self.path, self.remedy))
+
+
 def raise_all(problems: Iterable[str]) -> None:
     """Raise one RequestError that lists every problem, or return when there is none."""
     lines = list(problems)

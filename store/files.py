@@ -8,28 +8,61 @@ import contextlib
 import errno
 import itertools
 import os
+import secrets
 import shutil
 import socket
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
 from store.errors import WorkError
 
 _counter = itertools.count()
+_NO_LINKS = (errno.EPERM, errno.ENOTSUP, errno.EXDEV, errno.EMLINK)
 
 
 class Scratch:
-    """The store's `tmp/`: a folder of its own for this process, and a sweep of what dead ones left."""
+    """The store's `tmp/`: a folder of its own for this process, and a sweep of what dead ones left.
+
+    The folder's name ends in a random word: after a kill it may hold a second link to a finished file, which a
+    later process with the same number must not open for writing.
+    """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
+        self._mine: Path | None = None
+        self._pid = 0
+        self._making = threading.Lock()
 
     def path(self) -> Path:
         """A new path, unique over threads, processes and hosts."""
-        mine = self.folder / f"{socket.gethostname()}-{os.getpid()}"
-        if not mine.is_dir():
-            mine.mkdir(parents=True, exist_ok=True)
-        return mine / str(next(_counter))
+        with self._making:
+            if self._mine is None or self._pid != os.getpid() or not self._mine.is_dir():
+                self._pid = os.getpid()
+                self._mine = self.folder / f"{socket.gethostname()}~{self._pid}~{secrets.token_hex(4)}"
+                with full_disk_is_named(self._mine):
+                    self._mine.mkdir(parents=True, exist_ok=True)
+            return self._mine / str(next(_counter))
+
+    def __getstate__(self) -> dict[str, object]:
+        """A store travels to workers; the lock and the folder stay here."""
+        return {"folder": self.folder}
+
+    def __setstate__(self, state: dict[str, Path]) -> None:
+        self.__init__(state["folder"])  # type: ignore[misc]
+
+    def remove(self, path: Path) -> None:
+        """Take a folder or a file away in one step, so that nobody meets it half removed."""
+        doomed = self.path()
+        with full_disk_is_named(path):
+            try:
+                os.rename(path, doomed)
+            except FileNotFoundError:
+                return
+        if doomed.is_dir():
+            shutil.rmtree(doomed, ignore_errors=True)
+        else:
+            doomed.unlink(missing_ok=True)
 
     def sweep(self) -> None:
         """Delete what processes of this host that no longer run have left behind."""
@@ -39,13 +72,16 @@ class Scratch:
         except FileNotFoundError:
             return
         for name in names:
-            owner, _, pid = name.rpartition("-")
-            if owner == host and pid.isdigit() and int(pid) != os.getpid() and not _alive(int(pid)):
+            owner, _, rest = name.partition("~")
+            pid = rest.partition("~")[0]
+            if owner == host and pid.isdecimal() and int(pid) != os.getpid() and not _alive(int(pid)):
                 shutil.rmtree(self.folder / name, ignore_errors=True)
 
     def leave(self) -> None:
         """Delete this process's own folder."""
-        shutil.rmtree(self.folder / f"{socket.gethostname()}-{os.getpid()}", ignore_errors=True)
+        if self._mine is not None and self._pid == os.getpid():
+            shutil.rmtree(self._mine, ignore_errors=True)
+            self._mine = None
 
 
 def _alive(pid: int) -> bool:
@@ -76,7 +112,7 @@ def full_disk_is_named(path: Path) -> Iterator[None]:
 
 def write_durable(path: Path, data: bytes | memoryview) -> None:
     """Write and flush to the disk. `path` should lie in scratch."""
-    with full_disk_is_named(path), open(path, "wb") as file:
+    with full_disk_is_named(path), open(path, "xb") as file:
         file.write(data)
         file.flush()
         os.fsync(file.fileno())
@@ -112,9 +148,9 @@ def _link_new(source: Path, target: Path) -> None:
         target.parent.mkdir(parents=True, exist_ok=True)
         os.link(source, target)
     except OSError as error:
-        if error.errno not in (errno.EPERM, errno.ENOTSUP, errno.EXDEV, errno.EMLINK):
+        if error.errno not in _NO_LINKS:
             raise
-        # a file system without hard links: an exclusive reservation keeps "if absent" true
+        # a file system without hard links: two writers may both believe that they were first, with equal content
         if target.exists():
             raise FileExistsError(target) from error
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -130,7 +166,7 @@ def link_or_copy(source: Path, target: Path) -> None:
     except FileExistsError:
         raise
     except OSError as error:
-        if error.errno not in (errno.EPERM, errno.ENOTSUP, errno.EXDEV, errno.EMLINK):
+        if error.errno not in _NO_LINKS:
             raise
         with full_disk_is_named(target):
             shutil.copyfile(source, target)

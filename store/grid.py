@@ -6,12 +6,13 @@ already, encoded by `store.chunks` just as these arrays declare, and are linked 
 
 import os
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from store.chunks import ChunkRef, Chunks, shuffle_for
+from store.errors import DamagedChunkError
 from store.files import link_or_copy
 
 ChunkIndex = tuple[int, ...]
@@ -93,7 +94,10 @@ def write_group(
             if parent not in made:
                 os.makedirs(parent, exist_ok=True)
                 made.add(parent)
-            link_or_copy(source.path(ref.blob), Path(target))
+            try:
+                link_or_copy(source.path(ref.blob), Path(target))
+            except FileNotFoundError:
+                raise DamagedChunkError(f"the stored chunk {source.path(ref.blob)} is gone", ref.blob) from None
     for name, coordinate in coordinates.items():
         values = np.asarray(coordinate.values)
         text = values.dtype.kind in "UO"
@@ -110,11 +114,6 @@ def write_group(
         # xarray warns without consolidated metadata, zarr with it: version 3 of the format leaves it open
         warnings.simplefilter("ignore")
         zarr.consolidate_metadata(folder)
-
-
-def chunk_names(folder: Path, array: str) -> Sequence[Path]:
-    """The chunk files of an array."""
-    return sorted(path for path in (folder / array / "c").rglob("*") if path.is_file())
 
 
 def open_dataset(folder: Path) -> Any:

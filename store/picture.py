@@ -88,6 +88,7 @@ def _decode_png(data: bytes) -> Picture:
 
 
 def _decode_tiff(data: bytes) -> Picture:
+    import cv2
     import tifffile
 
     try:
@@ -96,14 +97,22 @@ def _decode_tiff(data: bytes) -> Picture:
             ends = [o + n for o, n in zip(page.dataoffsets, page.databytecounts, strict=True)]
             if max(ends, default=0) > len(data):
                 raise PictureError(f"is truncated: the TIFF has {len(data)} bytes and needs {max(ends)}")
-            picture = np.asarray(page.asarray())
+            if len(file.pages) > 1:
+                raise PictureError(f"holds {len(file.pages)} pictures; a file holds one")
+            if page.photometric == tifffile.PHOTOMETRIC.MINISWHITE:
+                raise PictureError("counts from white (MINISWHITE); save it so that 0 is black")
+            if page.dtype not in (np.uint8, np.uint16):
+                raise PictureError(f"holds {page.dtype} values; 8- or 16-bit integers are expected")
+            if page.compression == tifffile.COMPRESSION.NONE:
+                return np.asarray(page.asarray())
     except PictureError:
         raise
-    except Exception as error:  # noqa: BLE001  tifffile and its codecs raise many kinds
+    except Exception as error:  # noqa: BLE001  tifffile raises many kinds
         raise PictureError(f"cannot be decoded as TIFF ({error})") from None
-    if picture.dtype not in (np.uint8, np.uint16):
-        raise PictureError(f"holds {picture.dtype} values; 8- or 16-bit integers are expected")
-    return picture
+    picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    if picture is None:
+        raise PictureError("cannot be decoded as TIFF")
+    return np.ascontiguousarray(picture[:, :, ::-1]) if picture.ndim == 3 else np.asarray(picture)
 
 
 def linear_from_srgb(picture: Picture) -> Picture:

@@ -83,6 +83,8 @@ class Records:
                 return json.loads(file.read())
         except FileNotFoundError:
             return None
+        except OSError:
+            return None
         except ValueError:
             # only a fault of the disk can do this (records appear whole): forget it and compute again
             self._path(kind, key).unlink(missing_ok=True)
@@ -91,7 +93,10 @@ class Records:
     def block(self, key: str) -> BlockRecord | None:
         """The record of a block, if it was ever computed."""
         plain = self._read("blocks", key)
-        return None if plain is None else BlockRecord.from_plain(plain)
+        try:
+            return None if plain is None else BlockRecord.from_plain(plain)
+        except (KeyError, TypeError, AttributeError, IndexError):
+            return None
 
     def put_block(self, record: BlockRecord) -> tuple[BlockRecord, bool]:
         """Commit a block. Returns the record that now stands, and whether it agrees with the one given.
@@ -119,12 +124,13 @@ class Records:
     def node(self, key: str) -> list[BlockRecord] | None:
         """The records of all blocks of a node, in the node's block order."""
         plain = self._read("nodes", key)
-        return None if plain is None else [BlockRecord.from_plain(block) for block in plain]
+        try:
+            return None if plain is None else [BlockRecord.from_plain(block) for block in plain]
+        except (KeyError, TypeError, AttributeError, IndexError):
+            return None
 
     def put_node(self, key: str, blocks: list[BlockRecord]) -> None:
         """Remember a complete node."""
-        if self._path("nodes", key).exists():
-            return
         slim = [{**block.as_plain(), "trace": {}} for block in blocks]
         replace(self._scratch, self._path("nodes", key), json.dumps(slim, separators=(",", ":")).encode())
 

@@ -4,6 +4,7 @@ Beside each group lies `<recipe>-<manifest>.json`, its provenance (how it was ma
 them the text file `current`, which names the group that the last run used.
 """
 
+import contextlib
 import json
 import os
 import shutil
@@ -13,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from store.chunks import ChunkRef
+from store.digest import digest_bytes
 from store.errors import RequestError
 from store.files import full_disk_is_named, replace
 from store.grid import ArrayTemplate, ChunkIndex, Coordinate, write_group
@@ -50,7 +52,12 @@ def publish(
 ) -> Path:
     """Make the group appear, whole, unless it is there already."""
     path = name.path(store)
-    if not path.is_dir():
+    if path.is_dir() and not (_whole(path, chunks) and path.with_name(f"{path.name}.json").is_file()):
+        store.scratch.remove(path)
+    if path.is_dir():
+        with contextlib.suppress(OSError):
+            os.utime(path.with_name(f"{path.name}.json"))  # in use again: `gc` must not take it for old
+    else:
         temporary = store.scratch.path()
         with full_disk_is_named(path):
             write_group(
@@ -62,7 +69,8 @@ def publish(
                 source=store.chunks,
             )
             path.parent.mkdir(parents=True, exist_ok=True)
-            replace(store.scratch, path.with_name(f"{path.name}.json"), json.dumps(provenance, indent=1).encode())
+            note = {**provenance, "files": _own_files(temporary, chunks)}
+            replace(store.scratch, path.with_name(f"{path.name}.json"), json.dumps(note, indent=1).encode())
             try:
                 os.rename(temporary, path)
             except OSError:
@@ -70,6 +78,46 @@ def publish(
                     raise
                 shutil.rmtree(temporary)
     return path
+
+
+def _own_files(group: Path, chunks: Mapping[str, Mapping[ChunkIndex, ChunkRef]]) -> dict[str, str]:
+    """Digests of what is not a link to a stored chunk: metadata and coordinates."""
+    links = {chunk_file(array, index) for array, placed in chunks.items() for index in placed}
+    files = (path for path in sorted(group.rglob("*")) if path.is_file())
+    names = {path.relative_to(group).as_posix(): path for path in files}
+    return {name: digest_bytes(path.read_bytes()) for name, path in names.items() if name not in links}
+
+
+def _whole(path: Path, chunks: Mapping[str, Mapping[ChunkIndex, ChunkRef]]) -> bool:
+    """Whether a group has its metadata and every chunk with its full length."""
+    return (path / "zarr.json").is_file() and all(
+        (path / array / "zarr.json").is_file()
+        and all(_has(path, chunk_file(array, index), ref.size) for index, ref in placed.items())
+        for array, placed in chunks.items()
+    )
+
+
+def chunk_file(array: str, index: ChunkIndex) -> str:
+    """Where a chunk lies in a group, after zarr's default naming."""
+    return f"{array}/c/{'/'.join(map(str, index))}"
+
+
+def _has(group: Path, file: str, size: int) -> bool:
+    try:
+        return os.stat(f"{group}/{file}").st_size == size
+    except OSError:
+        return False
+
+
+def lacks(path: Path, made: Mapping[str, Any]) -> list[str]:
+    """Files that a result group should have and does not, after its provenance."""
+    wanted = ["zarr.json", *made.get("files", {})]
+    missing = [name for name in wanted if not (path / name).is_file()]
+    for array, refs in made.get("chunks", {}).items():
+        missing += [
+            f"{array}/c/{index}" for index, ref in refs.items() if not _has(path, f"{array}/c/{index}", ref[2])
+        ]
+    return missing
 
 
 def set_current(name: ResultName, store: Store) -> None:
@@ -112,7 +160,7 @@ def provenance(session: str, node: str, folder: str, store: Store) -> dict[str, 
     """How a result was made, if it is known."""
     try:
         data = (store.results / session / node / f"{folder}.json").read_bytes()
-    except FileNotFoundError:
+        plain = json.loads(data)
+    except (FileNotFoundError, ValueError):
         return None
-    plain = json.loads(data)
     return plain if isinstance(plain, dict) else None

@@ -54,9 +54,15 @@ class Store:
                     f"--store {self.root} holds other files and no store; name an empty or a new folder"
                 ) from None
             if create:
-                replace(self.scratch, marker, json.dumps({"format": FORMAT}).encode())
+                self._make(marker)
             return
         except (ValueError, AttributeError):
             found = None
         if found != FORMAT:
             raise RequestError(f"{marker} says {found!r}; this program reads {FORMAT}")
+
+    def _make(self, marker: Path) -> None:
+        try:
+            replace(self.scratch, marker, json.dumps({"format": FORMAT}).encode())
+        except OSError as error:
+            raise RequestError(f"--store {self.root}: no folder can be made there ({error.strerror})") from None

@@ -23,9 +23,9 @@ import numpy as np
 from store import document, files
 from store.calibration import Item, StoredPicture, get_item, items_in, put_item
 from store.capture import SESSION_NAME, Capture, PictureFile, read_capture
-from store.chunks import ChunkRef
+from store.chunks import ChunkRef, Chunks, Staging
 from store.digest import SHORT, digest_bytes, digest_value
-from store.errors import RequestError, raise_all
+from store.errors import DamagedFileError, RequestError, WorkError, raise_all
 from store.files import full_disk_is_named
 from store.grid import ArrayTemplate, ChunkIndex, Coordinate, write_group
 from store.picture import Picture, PictureError, decode, read_file
@@ -52,6 +52,7 @@ class Session:
     """Folder, and per file the digest of its bytes and the planes it holds."""
     verdict: tuple[Mapping[str, Any], ...]
     digest: str
+    """Of session.json, with everything in it."""
 
     @property
     def polarisations(self) -> tuple[str, ...]:
@@ -92,12 +93,17 @@ def read_session(name: str, store: Store) -> Session:
     """
     path = store.sessions / name / "session.json"
     try:
-        data = path.read_bytes()
-    except (FileNotFoundError, NotADirectoryError):
+        data = path.read_bytes() if SESSION_NAME.fullmatch(name) else None
+    except OSError:
+        data = None
+    if data is None:
         known = session_names(store)
         hint = document.nearest(name, known) or "; it holds none yet (`lightstage import FOLDER` brings one in)"
         raise RequestError(f"no session '{name}' in the store {store.root}{hint}") from None
-    return _from_plain(json.loads(data), digest_bytes(data))
+    try:
+        return _from_plain(json.loads(data), digest_bytes(data))
+    except (ValueError, KeyError, TypeError, IndexError):
+        raise DamagedFileError(path, f"import the capture folder of session '{name}' again") from None
 
 
 def _from_plain(plain: Mapping[str, Any], digest: str) -> Session:
@@ -163,31 +169,42 @@ def import_capture(
         RequestError: anything in the folder is wrong; every problem is listed.
     """
     capture = read_capture(folder)
-    session_name = name or capture.description.session
-    if not SESSION_NAME.fullmatch(session_name):
+    session_name = capture.description.session if name is None else name
+    if not SESSION_NAME.fullmatch(session_name) or len(session_name) > 100:
         raise RequestError(
-            f"--session {session_name}: only letters, digits, dot, dash and underscore can be in a name"
+            f"--session {session_name[:100]!r}: a name has up to 100 letters, digits, dots, dashes and underscores"
         )
-    before = read_session(session_name, store) if session_name in session_names(store) else None
-    lost = 0 if before is None else sum(not _intact([ref], store) for ref in before.refs())
+    staging = Staging(store.chunks, store.scratch)
+    try:
+        return _import(capture, session_name, store, staging, progress)
+    finally:
+        staging.discard()
+
+
+def _import(
+    capture: Capture, session_name: str, store: Store, staging: Staging, progress: Progress | None
+) -> Imported:
+    before = _session_before(session_name, store)
+    lost = 0 if before is None else sum(not store.chunks.intact(ref) for ref in before.refs())
     pictures = capture.pictures()
     warnings = [f"{path} is not mentioned in capture.yaml; passed over" for path in capture.extra_pictures()]
 
-    read = _read_pictures(capture, pictures, store, before, progress)
+    read = _read_pictures(capture, pictures, store, staging, before, progress)
     shape = _one_shape(read)
-    raise_all(result.problem for result in read if result.problem is not None)
-    mask, mask_file = _read_mask(capture, shape, store)
+    mask, mask_file = _read_mask(capture, shape, staging)
     items: dict[str, tuple[Item, bytes]] = {}
     if capture.description.calibration is not None:
-        items, more = items_in(capture.folder / capture.description.calibration, store)
+        items, more = items_in(capture.folder / capture.description.calibration, staging)
         warnings += more
 
-    facts = _facts(capture)
-    images = _arrange(read, facts)
+    # everything is right: from here on the store changes
+    staging.commit()
     for item, original in items.values():
         put_item(item, original, store)
-    bound = dict(before.items) if before is not None else {}
-    bound |= {kind: item.digest for kind, (item, _) in items.items()}
+    facts = _facts(capture)
+    images = _arrange(read, facts)
+    came = {kind: item.digest for kind, (item, _) in items.items()}
+    bound = _bound_items(before, came)
     source = {
         "folder": str(capture.folder),
         "files": {
@@ -200,20 +217,49 @@ def import_capture(
             for result in read
         },
         "mask": mask_file,
+        "items": came,
     }
     session = Session(session_name, facts, shape, images, mask, bound, source, (), "")
     changes = _changes(before, session)
     if before is not None and not changes:
-        if before.source["folder"] != source["folder"]:  # the archive has moved: nothing of it has changed
-            before = _commit(changed(before, source=source), store)
-        show_raw(before, store, anew=lost > 0)
+        if lost or before.source != source:
+            # restored pictures may be stored in other bytes; or the archive has moved and nothing of it has changed
+            session = _commit(changed(session, verdict=before.verdict), store)
+            show_raw(session, store, anew=lost > 0)
+        else:
+            session = before
+            show_raw(session, store)
         restored = (f"{lost} damaged or lost picture(s) were restored",) if lost else ()
-        return Imported(before, restored, tuple(warnings), new=False)
+        return Imported(session, restored, tuple(warnings), new=False)
     session = changed(session, verdict=tuple(_verdict(session, store)))
     if before is not None and before.source["folder"] != source["folder"]:
         warnings.append(f"session '{session_name}' came from {before.source['folder']} before")
     session = _commit(session, store)
     return Imported(session, tuple(changes), tuple(warnings), new=before is None)
+
+
+def _bound_items(before: Session | None, came: Mapping[str, str]) -> dict[str, str]:
+    """Kind -> digest after an import: what came with the folder is bound when it is new there, so that an item that
+    somebody has bound by hand stays until the folder's own changes; what has left the folder is released."""
+    bound = {} if before is None else dict(before.items)
+    came_before = {} if before is None else before.source.get("items", {})
+    for kind, digest in came.items():
+        if came_before.get(kind) != digest or kind not in bound:
+            bound[kind] = digest
+    for kind, digest in came_before.items():
+        if kind not in came and bound.get(kind) == digest:
+            del bound[kind]
+    return bound
+
+
+def _session_before(name: str, store: Store) -> Session | None:
+    """The session of that name, or None where there is none, or none that can be read."""
+    if name not in session_names(store):
+        return None
+    try:
+        return read_session(name, store)
+    except DamagedFileError:
+        return None
 
 
 def _facts(capture: Capture) -> dict[str, Any]:
@@ -237,7 +283,7 @@ def _facts(capture: Capture) -> dict[str, Any]:
             k: [float(v)] * len(d.bands_nm) if isinstance(v, int | float) else [float(x) for x in v]
             for k, v in d.intensities.items()
         },
-        "target": d.target,
+        "target": None if d.target is None else d.target.model_dump(mode="json"),
     }
 
 
@@ -245,6 +291,7 @@ def _read_pictures(
     capture: Capture,
     pictures: list[PictureFile],
     store: Store,
+    staging: Staging,
     before: Session | None,
     progress: Progress | None,
 ) -> list[_ReadPicture]:
@@ -256,7 +303,7 @@ def _read_pictures(
         axis = {p: i for i, p in enumerate(before.polarisations)}
         for file in before.source["files"].values():
             refs = tuple(before.images[file["frame"]][b][axis[file["polarisation"]]] for b in file["bands"])
-            if _intact(refs, store):
+            if all(store.chunks.intact(ref) for ref in refs):
                 known[file["digest"], file["frame"], file["polarisation"], tuple(file["bands"])] = refs
 
     def read(picture: PictureFile) -> _ReadPicture:
@@ -269,23 +316,12 @@ def _read_pictures(
             planes = capture.planes(data)
         except PictureError as error:
             return _ReadPicture(picture, "", None, None, f"{picture.path} {error}")
-        refs = tuple(store.chunks.put(np.ascontiguousarray(plane)[None, None, None]) for plane in planes)
+        refs = tuple(staging.put(np.ascontiguousarray(plane)[None, None, None]) for plane in planes)
         return _ReadPicture(picture, digest, refs, (planes.shape[1], planes.shape[2]))
 
     with ThreadPoolExecutor(max_workers=len(os.sched_getaffinity(0))) as pool:
         results = pool.map(read, pictures)
         return list(progress(results, len(pictures), "pictures") if progress else results)
-
-
-def _intact(refs: Iterable[ChunkRef], store: Store) -> bool:
-    """Whether stored pictures still have their digest; a damaged one makes way, so that it is stored again."""
-    good = True
-    for ref in refs:
-        path = store.chunks.path(ref.blob)
-        if not store.chunks.has(ref) or digest_bytes(path.read_bytes()) != ref.blob:
-            path.unlink(missing_ok=True)
-            good = False
-    return good
 
 
 def _one_shape(read: list[_ReadPicture]) -> tuple[int, int]:
@@ -304,7 +340,7 @@ def _one_shape(read: list[_ReadPicture]) -> tuple[int, int]:
     return usual
 
 
-def _read_mask(capture: Capture, shape: tuple[int, int], store: Store) -> tuple[StoredPicture | None, Any]:
+def _read_mask(capture: Capture, shape: tuple[int, int], chunks: Chunks) -> tuple[StoredPicture | None, Any]:
     if capture.description.mask is None:
         return None, None
     path = capture.folder / capture.description.mask
@@ -321,7 +357,7 @@ def _read_mask(capture: Capture, shape: tuple[int, int], store: Store) -> tuple[
             f"{shape[1]} x {shape[0]}"
         )
     mask = np.ascontiguousarray(picture > 0)
-    stored = StoredPicture(store.chunks.put(mask), mask.dtype.str, mask.shape)
+    stored = StoredPicture(chunks.put(mask), mask.dtype.str, mask.shape)
     return stored, {"name": capture.description.mask, "digest": digest_bytes(data)}
 
 
@@ -363,6 +399,7 @@ def _changes(before: Session | None, after: Session) -> list[str]:
         old = before.items.get(kind)
         if old != digest:
             changes.append(f"calibration item {kind} " + ("is new" if old is None else "changed"))
+    changes += [f"calibration item {kind} is gone" for kind in before.items if kind not in after.items]
     return changes
 
 
@@ -385,15 +422,14 @@ def remove_session(name: str, store: Store) -> int:
 
     Its chunks stay until `gc`, so that an import of the same capture costs little.
     """
-    read_session(name, store)
+    if name not in session_names(store):
+        read_session(name, store)  # says which there are
     total = 0
-    for folder in (store.sessions / name, store.results / name):
+    # results first: what a kill leaves is then still a session, and can be removed again
+    for folder in (store.results / name, store.sessions / name):
         if folder.exists():
             total += files.folder_size(folder)
-            # rename first: what is half removed must not be taken for a session
-            doomed = store.scratch.path()
-            os.rename(folder, doomed)
-            shutil.rmtree(doomed)
+            store.scratch.remove(folder)
     return total
 
 
@@ -419,6 +455,11 @@ def _write_raw(session: Session, store: Store) -> None:
     target = store.sessions / session.name / _raw_folder(session)
     if target.is_dir():
         return
+    lost = [ref for ref in session.refs() if not store.chunks.has(ref)]
+    if lost:
+        raise WorkError(
+            f"{len(lost)} picture(s) of session '{session.name}' are lost; import {session.source['folder']} again"
+        )
     sizes, facts = session.sizes, session.facts
     dims = tuple(sizes)
     shape = tuple(sizes.values())
@@ -474,7 +515,7 @@ def show_raw(session: Session, store: Store, *, anew: bool = False) -> None:
     link = store.sessions / session.name / "raw.zarr"
     wanted = _raw_folder(session)
     if anew:
-        shutil.rmtree(link.parent / wanted, ignore_errors=True)
+        store.scratch.remove(link.parent / wanted)
     elif link.is_symlink() and os.readlink(link) == wanted and link.is_dir():
         return
     _write_raw(session, store)

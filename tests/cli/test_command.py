@@ -81,7 +81,7 @@ def test_path_prints_the_path_and_nothing_else(lightstage: Lightstage, ball: Pat
 @pytest.mark.parametrize(
     ("words", "part"),
     [
-        (("runn",), "invalid choice: 'runn'"),
+        (("runn",), "'runn' is not known; did you mean 'run'?"),
         (("run",), "--session"),
         (("run", "--session", "bal"), "no session 'bal' in the store"),
         (("run", "normal", "--session", "ball"), "no node 'normal'; did you mean 'normals'"),
@@ -243,7 +243,8 @@ def test_exr_has_named_float_channels_and_says_its_frame(exported: Callable[...,
 def test_npy_is_the_decoded_result(exported: Callable[..., Path], lightstage: Lightstage) -> None:
     values = np.load(exported("npy"))
     result = xarray.open_zarr(lightstage("path", "normals", "--session", "ball").out.strip(), chunks=None)
-    np.testing.assert_array_equal(values, result.normal.values[0, 0].transpose(1, 2, 0))
+    assert values.dtype == np.float32
+    np.testing.assert_array_equal(values, result.normal.values[0, 0].transpose(1, 2, 0).astype(np.float32))
 
 
 def test_a_full_disk_is_a_sentence_and_nothing_is_lost(tmp_path: Path, sphere: Path) -> None:

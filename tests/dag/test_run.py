@@ -200,8 +200,9 @@ def groups(store: Path) -> dict[str, Path]:
 def test_killed_at_random_moments_and_run_again_it_is_as_if_undisturbed(tmp_path: Path) -> None:
     folder = sphere_capture(tmp_path / "s", size=200, bands=(434, 576, 655))
     imported = tmp_path / "imported"
-    import_capture(folder, Store(imported))
-    Store(imported).scratch.leave()
+    opened = Store(imported)
+    import_capture(folder, opened)
+    opened.scratch.leave()
     undisturbed = shutil.copytree(imported, tmp_path / "undisturbed", symlinks=True)
     assert run_process("run", "--session", "s", store=undisturbed).returncode == 0
     total = 3 * 21 + 3
@@ -320,7 +321,7 @@ def test_damage_met_on_the_way_is_healed_in_the_same_run(
         file.write(data)
     done = lightstage("run", "--session", "ball", "--json", "--set", "normals.method=ratio")
     assert computed(done) == {"stack": 1, "normals": 1}
-    assert "is damaged" in done.err
+    assert "was damaged: ball/stack" in done.err
 
 
 def test_a_damaged_raw_picture_names_the_folder_to_import(
@@ -396,3 +397,162 @@ def test_memory_of_a_store_moves_with_it(lightstage: Lightstage, ball: Path, tmp
     done = lightstage("run", "--session", "ball", "--json", store=moved)
     assert computed(done) == {}
     assert lightstage("verify", store=moved).code == 0
+
+
+def flip(path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    data[-1] ^= 1
+    with open(path, "r+b") as file:
+        file.write(data)
+
+
+def result(lightstage: Lightstage, node: str) -> Path:
+    return Path(lightstage("path", node, "--session", "ball").out.strip())
+
+
+def test_labels_that_change_alone_reach_the_results_and_cost_nothing(lightstage: Lightstage, ball: Path) -> None:
+    """A wrong time in capture.yaml is put right: no pixel changes, and the results must not keep the old one."""
+    text = (ball / "capture.yaml").read_text()
+    (ball / "capture.yaml").write_text(text.replace("- illumination: X\n", "- illumination: X\n  time_s: 0.25\n"))
+    assert "time_s changed" in lightstage("import", ball).out
+    assert run(lightstage) == {}
+    opened = xarray.open_zarr(result(lightstage, "register"), chunks=None)
+    assert opened.time_s.values[1] == 0.25
+
+
+def test_files_that_somebody_deleted_are_noticed_and_linked_again(lightstage: Lightstage, ball: Path) -> None:
+    group = result(lightstage, "normals")
+    chunk, metadata = group / "albedo" / "c" / "0" / "0" / "0" / "0", group / "albedo" / "zarr.json"
+    chunk.unlink()
+    assert (
+        lightstage("status", "--session", "ball", "--json").json["sessions"]["ball"]["normals"]["status"]
+        == "partial"
+    )
+    verified = lightstage("verify")
+    assert verified.code == 1
+    assert "restored from the stored chunk" in verified.out
+    assert chunk.is_file()
+    chunk.unlink()
+    assert run(lightstage) == {}
+    assert chunk.is_file()
+    metadata.unlink()
+    assert lightstage("verify").code == 1
+    assert run(lightstage) == {}
+    assert metadata.is_file()
+    assert lightstage("verify").code == 0
+
+
+def test_a_flipped_byte_in_a_coordinate_is_found(lightstage: Lightstage, ball: Path) -> None:
+    flip(result(lightstage, "stack") / "frame" / "c" / "0")
+    assert lightstage("verify").code == 1
+    assert run(lightstage) == {}
+    assert lightstage("verify").code == 0
+
+
+def test_many_damaged_chunks_are_healed_at_once(lightstage: Lightstage, ball: Path) -> None:
+    group = result(lightstage, "stack")
+    for illumination in range(7):
+        flip(group / "radiance" / "c" / str(illumination) / "0" / "0" / "0" / "0")
+    flip(result(lightstage, "register") / "signal" / "c" / "0" / "0" / "1" / "0" / "0")
+    again = run(lightstage, "--set", "normals.method=minimal")
+    assert again["stack"] == 7
+    assert again["register"] == 1
+    # not C, whose diffuse picture is the albedo too, and so the same stored chunk
+    flip(result(lightstage, "stack") / "radiance" / "c" / "3" / "0" / "0" / "0" / "0")
+    assert lightstage("verify").code == 1
+    flip(result(lightstage, "register") / "signal" / "c" / "1" / "0" / "1" / "0" / "0")
+    assert lightstage("verify").code == 1
+    assert run(lightstage) == {"register": 1, "stack": 1}
+
+
+def test_a_lost_cache_does_not_cost_the_raw_pictures(lightstage: Lightstage, ball: Path, tmp_path: Path) -> None:
+    """The group that shows the pictures still holds them: verify takes them back from there."""
+    shutil.rmtree(tmp_path / "store" / "cache")
+    verified = lightstage("verify", "--json")
+    assert verified.code == 1
+    raw = read_session("ball", Store(tmp_path / "store"))
+    assert all(Store(tmp_path / "store").chunks.intact(ref) for ref in raw.refs())
+    assert sum(run(lightstage).values()) == 22
+    assert lightstage("verify").code == 0
+
+
+def test_a_preview_does_not_let_gc_free_the_full_result(lightstage: Lightstage, ball: Path) -> None:
+    run(lightstage, "--frames", "0:2")
+    lightstage("gc", "--grace", "0s")
+    assert run(lightstage) == {}
+
+
+def test_an_item_bound_by_hand_outlives_an_unchanged_import(
+    lightstage: Lightstage, ball: Path, tmp_path: Path
+) -> None:
+    item = tmp_path / "better.yaml"
+    item.write_text("item: homography\nfrom: CAM0\nto: CAM1\nmatrix: [[1, 0, -1.25], [0, 1, 0], [0, 0, 1]]\n")
+    lightstage("calibration", "use", item, "--session", "ball")
+    assert "nothing has changed" in lightstage("import", ball).out
+    assert run(lightstage)["register"] == 7
+    own = ball / "calibration" / "homography.yaml"
+    own.write_text(item.read_text().replace("-1.25", "-1.5"))
+    assert "calibration item homography changed" in lightstage("import", ball).out
+    own.unlink()
+    assert "calibration item homography is gone" in lightstage("import", ball).out
+    assert "no homography item" in lightstage("run", "--session", "ball").err
+
+
+def test_an_items_notes_can_stop_a_cached_run(lightstage: Lightstage, tmp_path: Path) -> None:
+    folder = one_camera_capture(tmp_path / "c", ["C", "X", "Y", "Z"], rig="york")
+    lightstage("import", folder)
+    item = tmp_path / "bands.yaml"
+    for rig, code in (("york", 0), ("leeds", 2)):
+        item.write_text(f"item: bands\nrig: {rig}\nbands: [{{centre_nm: 0, exposure: 2}}]\n")
+        lightstage("calibration", "use", item, "--session", "c")
+        assert lightstage("run", "--session", "c").code == code
+
+
+def test_broken_small_files_are_named_and_can_be_mended(lightstage: Lightstage, ball: Path, tmp_path: Path) -> None:
+    store = tmp_path / "store"
+    note = next((store / "results" / "ball" / "stack").glob("*-*.json"))
+    note.write_text("{")
+    assert lightstage("verify").code == 1
+    assert run(lightstage) == {}
+    session = store / "sessions" / "ball" / "session.json"
+    session.write_text(session.read_text()[:100])
+    for words in (("status",), ("run", "--session", "ball"), ("sessions", "list"), ("gc",)):
+        assert f"{session} is damaged; import the capture folder" in lightstage(*words).err
+    assert lightstage("verify").code == 1
+    assert lightstage("import", ball).code == 0
+    assert run(lightstage) == {}
+    session.write_text("{")
+    assert lightstage("sessions", "remove", "ball").code == 0
+
+
+def test_a_nodes_name_cannot_lead_out_of_the_store(lightstage: Lightstage, ball: Path, tmp_path: Path) -> None:
+    text = (REPOSITORY / "pipeline.yaml").read_text()
+    for name in ("../../evil", "a/b", "..", "current"):
+        path = tmp_path / "p.yaml"
+        path.write_text(text + f'  "{name}": {{uses: normals, from: stack}}\n')
+        done = lightstage("run", "--session", "ball", "--pipeline", path)
+        assert done.code == 2
+        assert "cannot name a node" in done.err
+
+
+def test_no_light_is_no_normal(lightstage: Lightstage, tmp_path: Path) -> None:
+    folder = one_camera_capture(tmp_path / "dark", ["C", "X", "Y", "Z"])
+    cv2.imwrite(str(folder / "0000_C_0nm_CAM1.png"), np.zeros((12, 16), np.uint16))
+    lightstage("import", folder)
+    done = lightstage("run", "--session", "dark", "--json")
+    opened = xarray.open_zarr(done.json["nodes"]["normals"]["path"], chunks=None)
+    assert not opened.valid.values.any()
+    for name in ("normal", "albedo", "norm"):
+        assert np.isnan(opened[name].values).all(), name
+
+
+def test_a_worker_with_other_code_refuses(
+    lightstage: Lightstage, ball: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import dag.run
+
+    monkeypatch.setattr(dag.run, "_checked", set())
+    monkeypatch.setattr(dag.run, "stage_parts", lambda *_: {"code": "older"})
+    done = lightstage("run", "--session", "ball", "--set", "normals.method=ratio")
+    assert done.code == 1
+    assert "a worker has other code or libraries for the stage normals" in done.err

@@ -164,7 +164,7 @@ def test_a_removed_session_is_gone_with_its_results(sphere: Path, store: Store) 
 
 def test_another_name_can_be_given(sphere: Path, store: Store) -> None:
     assert import_capture(sphere, store, name="other").session.name == "other"
-    with pytest.raises(RequestError, match="only letters"):
+    with pytest.raises(RequestError, match="a name has up to 100 letters"):
         import_capture(sphere, store, name="../x")
 
 
