@@ -451,13 +451,13 @@ def test_a_flipped_byte_in_a_coordinate_is_found(lightstage: Lightstage, ball: P
 
 def test_many_damaged_chunks_are_healed_at_once(lightstage: Lightstage, ball: Path) -> None:
     group = result(lightstage, "stack")
-    for illumination in range(7):
+    # not C, whose diffuse picture is the albedo too, and so the same stored chunk
+    for illumination in range(1, 7):
         flip(group / "radiance" / "c" / str(illumination) / "0" / "0" / "0" / "0")
     flip(result(lightstage, "register") / "signal" / "c" / "0" / "0" / "1" / "0" / "0")
     again = run(lightstage, "--set", "normals.method=minimal")
-    assert again["stack"] == 7
+    assert again["stack"] == 6
     assert again["register"] == 1
-    # not C, whose diffuse picture is the albedo too, and so the same stored chunk
     flip(result(lightstage, "stack") / "radiance" / "c" / "3" / "0" / "0" / "0" / "0")
     assert lightstage("verify").code == 1
     flip(result(lightstage, "register") / "signal" / "c" / "1" / "0" / "1" / "0" / "0")
