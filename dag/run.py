@@ -74,8 +74,20 @@ class NodeResult:
 class BlockTask:
     """What a worker needs to make one block. A plain object, so that Dask looks for no graph inside."""
 
-    __slots__ = ("arrays", "block", "context", "context_digest", "node", "params", "place", "reads", "stage_key",
-                 "stage_module", "store_root")  # fmt: skip
+    __slots__ = (
+        "arrays",
+        "block",
+        "context",
+        "context_digest",
+        "elsewhere",
+        "node",
+        "params",
+        "place",
+        "reads",
+        "stage_key",
+        "stage_module",
+        "store_root",
+    )
 
     def __init__(self, node: NodePlan, index: int, store_root: Path, place: Mapping[tuple[str, int], int]) -> None:
         block = node.blocks[index]
@@ -98,6 +110,8 @@ class BlockTask:
         }
         self.reads = block.reads
         self.store_root = store_root
+        self.elsewhere = False
+        """Whether another process than the publishing one computes it."""
         self.place = place
         """(node above, its block) -> position among the records that the task is given."""
 
@@ -133,6 +147,8 @@ def execute(task: BlockTask, *above: BlockRecord) -> BlockRecord:
         seconds=time.perf_counter() - began,
         reused=False,
     )
+    if task.elsewhere:
+        store.chunks.flush()  # the process that publishes cannot wait for this one's disk
     standing, same = store.records.put_block(record)
     if not same:
         if all(store.chunks.has(ref) for ref in standing.chunks()):
@@ -298,6 +314,8 @@ def _compute(state: State, store: Store, watcher: Watcher, where: Where, compute
             graph[f"{name}-{token}", i] = _as_task(state, name, i, store, token)
     on_done = _Collector(state, watcher, token, computed)
     if where.scheduler or where.workers:
+        for made in graph.values():
+            made[1].elsewhere = True
         _run_distributed(graph, where, on_done)
     else:
         _run_threads(graph, where.threads, on_done)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from dag.stage import Arrangement, Grid, Input, Items, Needs, Output, Params, Stage, StageError
-from stages.resampling import correct, reorient, undo_mount, view_fraction, warp
+from stages.resampling import STEP, correct, reorient, undone_shape, view_fraction, warp
 
 
 class RegisterParams(Params):
@@ -46,7 +46,7 @@ class View(NamedTuple):
     rotate: int
     mirror: bool
     to_source: NDArray[np.float64] | None
-    """(3, 3) reference pixel to sensor pixel; None for the reference camera, which only turns."""
+    """(3, 3) reference pixel to this camera's, mount undone; None for the reference camera, which only turns."""
 
 
 def register(
@@ -67,10 +67,9 @@ def register(
     signal = np.empty((len(views), *grid), np.float32)
     for picture, view, out in zip(raw, views, signal, strict=True):
         corrected = correct(picture, view.dark, view.gain, white_level)
-        if view.to_source is None:
-            out[...] = reorient(corrected, view.rotate, view.mirror)
-        else:
-            out[...] = warp(corrected, view.to_source, *grid)
+        # turning moves whole pixels and changes none; the homography is the one resampling
+        turned = reorient(corrected, view.rotate, view.mirror)
+        out[...] = turned if view.to_source is None else warp(turned, view.to_source, *grid)
     # NaN is the only value that is not equal to itself
     valid = signal[0] == signal[0]
     for other in signal[1:]:
@@ -93,15 +92,15 @@ def _prepare(
     size = (int(shape[0]), int(shape[1]))
     darks = {camera: _dark(camera, dark, size) for camera in cameras}
     gains = _gains(cameras, reference, darks, flat, size, flat_smoothing_percent)
-    _, grid = undo_mount(mounts[reference]["rotate"], mounts[reference]["mirror"], size)
+    grid = undone_shape(mounts[reference]["rotate"], size)
     views = []
     for camera in cameras:
         rotate, mirror = mounts[camera]["rotate"], mounts[camera]["mirror"]
         to_source = None
         if camera != reference:
-            to_sensor, undone = undo_mount(rotate, mirror, size)
-            to_source = to_sensor @ np.linalg.inv(np.asarray(homography, float))
-            seen = view_fraction(to_source, size, grid)
+            undone = undone_shape(rotate, size)
+            to_source = np.linalg.inv(np.asarray(homography, float))
+            seen = view_fraction(to_source, undone, grid)
             if seen < 0.1:
                 raise StageError(
                     f"the homography puts {camera} out of view: it covers {seen:.0%} of {reference}'s picture; "
@@ -225,7 +224,9 @@ STAGE = Stage(
         "homography": Needs(why="a second camera cannot be registered"),
     },
     outputs={
-        "signal": Output(("frame", "band", "polarisation", "y", "x"), "float32", attrs={"units": "counts"}),
+        "signal": Output(
+            ("frame", "band", "polarisation", "y", "x"), "float32", attrs={"units": "counts", "rounded_to": STEP}
+        ),
         "valid": Output(("frame", "band", "y", "x"), "bool"),
     },
     blocks=("frame", "band"),

@@ -3,6 +3,9 @@
 A chunk is one C-ordered block of numbers, encoded exactly as zarr's `bytes` and `blosc` codecs would, so that
 a result folder can hard-link it. It lies at `cache/blobs/<2 digits>/<digest of the stored bytes>` and is
 never changed. Reading checks that digest: a damaged chunk can stop a run but cannot enter a result.
+
+A chunk is flushed to the disk beside the work, and waited for before a session or a result refers to it. A block's
+record may be on the disk before its chunks are; after a loss of power the check on reading catches that.
 """
 
 import contextlib
@@ -13,8 +16,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
 
 from store.digest import digest_array, digest_bytes
-from store.errors import DamagedChunkError
-from store.files import Scratch, full_disk_is_named, put_if_absent, replace
+from store.errors import DamagedChunkError, WorkError
+from store.files import Flusher, Scratch, full_disk_is_named, put_if_absent, replace
 
 if TYPE_CHECKING:
     import numpy as np
@@ -56,6 +59,11 @@ class Chunks:
     def __init__(self, folder: Path, scratch: Scratch) -> None:
         self.folder = folder
         self._scratch = scratch
+        self._flusher = Flusher()
+
+    def __reduce__(self) -> tuple[type, tuple[Path, Scratch]]:
+        # a store travels to workers; what waits to be flushed stays here
+        return (type(self), (self.folder, self._scratch))
 
     def path(self, blob: str) -> Path:
         """Where a chunk lies, or would lie."""
@@ -82,9 +90,15 @@ class Chunks:
         if self.has(ref):
             with contextlib.suppress(OSError):
                 os.utime(path)  # in use again: `gc` must not take it for old
-        elif not put_if_absent(self._scratch, path, encoded) and not self.has(ref):
+        elif put_if_absent(self._scratch, path, encoded, durable=False):
+            self._flusher.add(path)
+        elif not self.has(ref):
             replace(self._scratch, path, encoded)  # what stood there had lost its end
         return ref
+
+    def flush(self) -> None:
+        """Wait until everything that was put is on the disk: the barrier before anything refers to it."""
+        self._flusher.wait()
 
     def get(self, ref: ChunkRef, *, dtype: str, shape: tuple[int, ...]) -> "NDArray[Any]":
         """Read a chunk, read-only.
@@ -121,11 +135,13 @@ class Staging(Chunks):
         """Store an array for the time being; one that the store has already is not written again."""
         ref, encoded = _sealed(array)
         if not self._target.intact(ref) and not self.path(ref.blob).exists():
-            put_if_absent(self._scratch, self.path(ref.blob), encoded)
+            put_if_absent(self._scratch, self.path(ref.blob), encoded, durable=False)
+            self._flusher.add(self.path(ref.blob))
         return ref
 
     def commit(self) -> None:
         """Let the store have them."""
+        self.flush()
         for path in sorted(self.folder.glob("*/*")):
             target = self._target.path(path.name)
             with full_disk_is_named(target):
@@ -135,6 +151,8 @@ class Staging(Chunks):
 
     def discard(self) -> None:
         """Forget them."""
+        with contextlib.suppress(WorkError):
+            self.flush()
         shutil.rmtree(self.folder, ignore_errors=True)
 
 

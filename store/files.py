@@ -13,6 +13,7 @@ import shutil
 import socket
 import threading
 from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 from store.errors import WorkError
@@ -110,11 +111,46 @@ def full_disk_is_named(path: Path) -> Iterator[None]:
         raise
 
 
-def write_durable(path: Path, data: bytes | memoryview) -> None:
-    """Write and flush to the disk. `path` should lie in scratch."""
-    with full_disk_is_named(path), open(path, "xb") as file:
-        file.write(data)
-        file.flush()
+def write_new(path: Path, data: bytes | memoryview, *, durable: bool) -> None:
+    """Write a new file, and wait for the disk if it is to be durable. `path` should lie in scratch."""
+    with full_disk_is_named(path), open(path, "xb", buffering=0) as file:
+        left = memoryview(data)
+        while left:
+            left = left[file.write(left) :]
+        if durable:
+            os.fsync(file.fileno())
+
+
+class Flusher:
+    """Flushes written files to the disk beside the work; `wait` is the barrier before anything refers to them."""
+
+    def __init__(self) -> None:
+        self._pool: ThreadPoolExecutor | None = None
+        self._pending: list[Future[None]] = []
+        self._lock = threading.Lock()
+
+    def add(self, path: Path) -> None:
+        """Flush a file soon."""
+        with self._lock:
+            if self._pool is None:
+                self._pool = ThreadPoolExecutor(1, thread_name_prefix="flush")
+            self._pending = [f for f in self._pending if not f.done() or f.exception()]
+            self._pending.append(self._pool.submit(_flush, path))
+
+    def wait(self) -> None:
+        """Return when all that was added is on the disk.
+
+        Raises:
+            WorkError: the disk is full.
+        """
+        with self._lock:
+            pending, self._pending = self._pending, []
+        for future in pending:
+            future.result()
+
+
+def _flush(path: Path) -> None:
+    with full_disk_is_named(path), contextlib.suppress(FileNotFoundError), open(path, "rb") as file:
         os.fsync(file.fileno())
 
 
@@ -123,15 +159,15 @@ def replace(scratch: Scratch, path: Path, data: bytes) -> None:
     with full_disk_is_named(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary = scratch.path()
-        write_durable(temporary, data)
+        write_new(temporary, data, durable=True)
         os.replace(temporary, path)
 
 
-def put_if_absent(scratch: Scratch, path: Path, data: bytes | memoryview) -> bool:
+def put_if_absent(scratch: Scratch, path: Path, data: bytes | memoryview, *, durable: bool = True) -> bool:
     """Put `data` at `path` unless something is there already; says whether it did."""
     with full_disk_is_named(path):
         temporary = scratch.path()
-        write_durable(temporary, data)
+        write_new(temporary, data, durable=durable)
         try:
             _link_new(temporary, path)
         except FileExistsError:

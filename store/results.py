@@ -68,6 +68,7 @@ def publish(
                 chunks=chunks,
                 source=store.chunks,
             )
+            store.chunks.flush()
             path.parent.mkdir(parents=True, exist_ok=True)
             note = {**provenance, "files": _own_files(temporary, chunks)}
             replace(store.scratch, path.with_name(f"{path.name}.json"), json.dumps(note, indent=1).encode())

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from dag.stage import StageError
 from stages.register import _prepare, register
-from stages.resampling import reorient, undo_mount, warp
+from stages.resampling import STEP, reorient, undone_shape, warp
 
 PLAIN = {"rotate": 0, "mirror": False}
 
@@ -66,12 +66,7 @@ def test_undoing_a_mount_is_rotating_clockwise_then_mirroring(rotate: int, mirro
     turned = cv2.rotate(picture, turns[rotate]) if rotate else picture
     expected = turned[:, ::-1] if mirror else turned
     np.testing.assert_array_equal(reorient(picture, rotate, mirror), expected)
-    matrix, shape = undo_mount(rotate, mirror, picture.shape)
-    assert shape == expected.shape
-    for y in range(shape[0]):
-        for x in range(shape[1]):
-            sx, sy, _ = matrix @ (x, y, 1)
-            assert picture[round(sy), round(sx)] == expected[y, x]
+    assert undone_shape(rotate, picture.shape) == expected.shape
 
 
 def test_one_resampling_of_mount_and_homography_finds_the_truth() -> None:
@@ -144,6 +139,32 @@ def test_identity_keeps_values_to_the_bit() -> None:
 def test_bad_calibration_is_a_named_error(change: dict[str, Any], message: str) -> None:
     with pytest.raises(StageError, match=message):
         prepared((6, 8), **change)
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.4, 1.5])
+def test_runs_of_neighbours_equal_pixel_by_pixel(turn: float) -> None:
+    """Keys' sixteen weights written out per pixel, for maps with long runs and with none."""
+    rows, columns = 30, 40
+    image = np.random.default_rng(0).uniform(0, 900, (rows, columns)).astype(np.float32)
+    c, s = np.cos(turn), np.sin(turn)
+    h = np.array([[c, -s, 7.3], [s, c, 1.9], [1e-4, -2e-4, 1]])
+    found = warp(image, h, rows, columns)
+
+    def weights(t: float) -> list[float]:
+        distances = [1 + t, t, 1 - t, 2 - t]
+        return [1.5 * d**3 - 2.5 * d**2 + 1 if d <= 1 else -0.5 * d**3 + 2.5 * d**2 - 4 * d + 2 for d in distances]
+
+    for y in range(rows):
+        for x in range(columns):
+            u, v, w = h @ (x, y, 1)
+            sx, sy = u / w, v / w
+            if w > 0 and 1 <= sx < columns - 2 and 1 <= sy < rows - 2:
+                ix, iy = int(sx), int(sy)
+                window = image[iy - 1 : iy + 3, ix - 1 : ix + 3]
+                value = np.array(weights(sy - iy)) @ window @ np.array(weights(sx - ix))
+                assert found[y, x] == pytest.approx(value, abs=STEP)
+            else:
+                assert np.isnan(found[y, x])
 
 
 def test_a_warp_behind_the_camera_is_not_valid() -> None:
