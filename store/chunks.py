@@ -11,6 +11,8 @@ record may be on the disk before its chunks are; after a loss of power the check
 import contextlib
 import os
 import shutil
+import threading
+from collections import OrderedDict
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
@@ -22,6 +24,10 @@ from store.files import Flusher, Scratch, full_disk_is_named, put_if_absent, rep
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
+
+
+RECENT_BYTES = 128_000_000
+"""What a process keeps of the arrays that it has just written."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +66,8 @@ class Chunks:
         self.folder = folder
         self._scratch = scratch
         self._flusher = Flusher()
+        self._recent: OrderedDict[str, NDArray[Any]] = OrderedDict()
+        self._lock = threading.Lock()
 
     def __reduce__(self) -> tuple[type, tuple[Path, Scratch]]:
         # a store travels to workers; what waits to be flushed stays here
@@ -87,6 +95,7 @@ class Chunks:
         """Store an array as one chunk; an equal one that is already there is used."""
         ref, encoded = _sealed(array)
         path = self.path(ref.blob)
+        self._remember(ref.blob, array)
         if self.has(ref):
             with contextlib.suppress(OSError):
                 os.utime(path)  # in use again: `gc` must not take it for old
@@ -95,6 +104,18 @@ class Chunks:
         elif not self.has(ref):
             replace(self._scratch, path, encoded)  # what stood there had lost its end
         return ref
+
+    def _remember(self, blob: str, array: "NDArray[Any]") -> None:
+        """Keep what was just written: the next stage reads it at once, and need not read and decode it."""
+        if array.nbytes * 2 > RECENT_BYTES:
+            return
+        view = array.view()
+        view.flags.writeable = False
+        with self._lock:
+            self._recent[blob] = view
+            self._recent.move_to_end(blob)
+            while sum(kept.nbytes for kept in self._recent.values()) > RECENT_BYTES:
+                self._recent.popitem(last=False)
 
     def flush(self) -> None:
         """Wait until everything that was put is on the disk: the barrier before anything refers to it."""
@@ -108,6 +129,10 @@ class Chunks:
         """
         import numpy as np
 
+        with self._lock:
+            recent = self._recent.get(ref.blob)
+        if recent is not None and recent.dtype == np.dtype(dtype):
+            return recent.reshape(shape)
         path = self.path(ref.blob)
         try:
             encoded = path.read_bytes()

@@ -106,6 +106,7 @@ def test_every_flipped_byte_is_noticed_on_reading(store: Store) -> None:
     ref = store.chunks.put(array)
     path = store.chunks.path(ref.blob)
     good = path.read_bytes()
+    store = Store(store.root)  # one that has not just written it and still has it in memory
     for position in range(0, len(good), 7):
         path.write_bytes(good[:position] + bytes([good[position] ^ 1]) + good[position + 1 :])
         with pytest.raises(DamagedChunkError, match="is damaged"):
