@@ -39,6 +39,7 @@ METHODS: dict[str, list[str]] = {
     "minimal, base Z": ["method=minimal", "base=Z"],
     "QP from difference": ["method=difference", "correct=qp"],
     "QP from ratio": ["method=ratio", "correct=qp"],
+    "QP from minimal, base X": ["method=minimal", "base=X", "correct=qp"],
 }
 SPECULAR: dict[str, list[str]] = {
     "difference": ["method=difference", "component=specular"],
@@ -151,13 +152,13 @@ def rendered(bench: Bench, lines: list[str]) -> None:
         "",
         "*Norm of both components on the head; the ideal diffuse norm is 1/3, a mirror's is 1/2.* (Head: \"Infinite, 3D",
         'Head Scan" by Lee Perry-Smith / Infinite-Realities, CC BY 3.0, based on a work at www.triplegangers.com;',
-        "changed. Only statistics of it are shown.) The same for the [sphere](figures/norm_static_sphere.png) and the",
+        "changed. Only statistics and one cut of it are shown.) The same for the [sphere](figures/norm_static_sphere.png) and the",
         "[cylinder](figures/norm_static_cylinder.png).",
         "",
         "![n_z, cylinder](figures/nz_static_cylinder.png)",
         "",
         "*n_z along one row and one column (the thesis' figures 3.10 to 3.13) for ratio, difference, minimal, and QP",
-        "started from ratio and from difference.* The same for the [sphere](figures/nz_static_sphere.png) and the",
+        "started from each.* The same for the [sphere](figures/nz_static_sphere.png) and the",
         "[head](figures/nz_static_A.png).",
     ]
 
@@ -194,6 +195,7 @@ def _plot_rows(shown: dict[tuple[str, str], Result], truth: Array, mask: Array, 
             ("minimal, base X", "C2"),
             ("QP from ratio", "C3"),
             ("QP from difference", "C4"),
+            ("QP from minimal, base X", "C5"),
         ):
             result = shown["diffuse", method]
             axis.plot(inside, result.normal[_band(result)][2][cut][inside], style, linewidth=0.8, label=method)
@@ -392,8 +394,9 @@ NOTES = """
   lobe. Their difference here is noise: the shot variance of a component of the vector is 4 r_a + r_c for ratio and r_c
   for difference. The same holds for the QP: on a still subject its constraint is met already, so it cannot move the
   direction but by noise.
-- The angle between minimal and difference is the noise of the single gradients. The thesis reports 3.9 degrees for a
-  statue and explains it by the lobe's symmetry.
+- The angle between minimal and difference is the noise of the single gradients. The thesis reports 3.9 degrees between them
+  for a statue, and 7.3 (minimal) and more than 42 (ratio) for a face. No distortion of a still lobe can part them, because
+  light adds; motion between pictures, or unequal exposures, can.
 - What is left on the head is near light, shadows and inter-reflection, equal for every method.
 - The thesis' specular norm is not divided by r_c, so it is in counts and cannot be compared with the diffuse one. Divided,
   a mirror's is 1/2 and a rough lobe's lies between that and the diffuse 1/3: the specular norm is the *larger* one, not

@@ -78,7 +78,8 @@ def _bars(unit: str) -> Any:
     class Rate(ProgressColumn):
         def render(self, task: Any) -> Text:
             speed = task.finished_speed or task.speed
-            return Text(f"{speed:.1f} {unit}/s" if speed else "", style="cyan")
+            each = task.fields.get("units_each", 1.0)
+            return Text(f"{speed * each:.1f} {unit}/s" if speed else "", style="cyan")
 
     columns = (
         TextColumn("{task.description:>10}"),
@@ -107,15 +108,19 @@ class RunWatcher:
             self._bars.stop()
             self._screen._live = None
 
-    def begin(self, totals: Mapping[str, int]) -> None:
-        """Blocks to do, by node."""
+    def begin(self, totals: Mapping[str, int], frames: int) -> None:
+        """Blocks to do, by node, and the session's frames that they stand for."""
         if not self._screen.lively:
             return
         if self._bars is not None:
             self._bars.stop()
-        self._bars = _bars("blocks")
+        self._bars = _bars("frames")
         self._screen._live = self._bars
-        self._tasks = {name: self._bars.add_task(name, total=total) for name, total in totals.items() if total}
+        self._tasks = {
+            name: self._bars.add_task(name, total=total, units_each=frames / total)
+            for name, total in totals.items()
+            if total
+        }
         self._bars.start()
 
     def done(self, node: str, computed: bool) -> None:

@@ -30,7 +30,7 @@ class _NodeEntry(BaseModel):
 class _PipelineFile(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
-    stages: dict[str, _NodeEntry] = Field(min_length=1, description="the nodes by name")
+    stages: dict[str, Any] = Field(min_length=1, description="the nodes by name")
 
 
 @dataclass(frozen=True)
@@ -79,9 +79,16 @@ def load_graph(path: Path, table: Mapping[str, str], *, overrides: Sequence[str]
         RequestError: everything that is wrong, a line each.
     """
     source = document.load(path, what="a pipeline")
-    entries = document.check(source, _PipelineFile).stages
     problems: list[str] = []
-    changes = _parse_overrides(overrides, entries, problems)
+    entries: dict[str, _NodeEntry] = {}
+    names = document.check(source, _PipelineFile).stages
+    for name in names:
+        # each by itself, so that a slip in one does not hide those in the others
+        try:
+            entries[name] = document.check(source, _NodeEntry, where=("stages", name))
+        except RequestError as error:
+            problems += str(error).splitlines()
+    changes = _parse_overrides(overrides, names, problems)
     nodes: dict[str, Node] = {}
     for name, entry in entries.items():
         at = ("stages", name)
@@ -99,9 +106,9 @@ def load_graph(path: Path, table: Mapping[str, str], *, overrides: Sequence[str]
         above = (entry.from_,) if isinstance(entry.from_, str) else entry.from_
         params = _parameters(source, name, stage, entry, changes.get(name, {}), problems)
         for upper in above:
-            if upper not in entries:
+            if upper not in names:
                 spot = source.at((*at, "from"))
-                problems.append(f"{spot}: '{name}' reads '{upper}', which is no node here{nearest(upper, entries)}")
+                problems.append(f"{spot}: '{name}' reads '{upper}', which is no node here{nearest(upper, names)}")
         if len(above) != stage.sources:
             spot = source.at((*at, "from"))
             wants = f"{stage.sources} node(s)" if stage.sources else "none: it brings in the session"

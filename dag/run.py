@@ -37,8 +37,8 @@ from store.root import Store
 class Watcher(Protocol):
     """Is told how a run goes on."""
 
-    def begin(self, totals: Mapping[str, int]) -> None:
-        """Blocks to do, by node."""
+    def begin(self, totals: Mapping[str, int], frames: int) -> None:
+        """Blocks to do, by node, and the session's frames that they stand for."""
 
     def done(self, node: str, computed: bool) -> None:
         """One block of a node is there."""
@@ -297,7 +297,9 @@ def run(
 def _compute(state: State, store: Store, watcher: Watcher, where: Where, computed: set[str]) -> None:
     missing = {name: node.missing() for name, node in state.nodes.items()}
     missing = {name: blocks for name, blocks in missing.items() if blocks}
-    watcher.begin({name: sum(node.selected) for name, node in state.nodes.items() if not _is_source(node)})
+    first, last = state.frames or (0, state.plan.session.sizes["frame"])
+    totals = {name: sum(node.selected) for name, node in state.nodes.items() if not _is_source(node)}
+    watcher.begin(totals, last - first)
     for name, node in state.nodes.items():
         if not _is_source(node):
             for i, record in enumerate(node.records):

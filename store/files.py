@@ -133,7 +133,7 @@ class Flusher:
         """Flush a file soon."""
         with self._lock:
             if self._pool is None:
-                self._pool = ThreadPoolExecutor(1, thread_name_prefix="flush")
+                self._pool = ThreadPoolExecutor(4, thread_name_prefix="flush")
             self._pending = [f for f in self._pending if not f.done() or f.exception()]
             self._pending.append(self._pool.submit(_flush, path))
 

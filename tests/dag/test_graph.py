@@ -78,6 +78,9 @@ def test_a_circle_is_drawn(tmp_path: Path) -> None:
 def test_everything_at_once(tmp_path: Path) -> None:
     text = GOOD.replace("uses: split", "uses: spilt").replace("method: ratio", "metod: 1, base: Q")
     assert len(refused(tmp_path, text)) == 3
+    lines = refused(tmp_path, text.replace("stack, from: split", "stack, form: split"))
+    assert len(lines) == 4
+    assert any("unknown key 'form'" in line for line in lines)
 
 
 def test_overrides_are_checked_alike(tmp_path: Path) -> None:
