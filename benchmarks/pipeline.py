@@ -147,8 +147,9 @@ def plain_loop(raw: Path, items: dict[str, Any], facts: dict[str, Any], target: 
 def compare_with_plain_loop(work: Path, folder: Path, rounds: int) -> None:
     """End to end, ours against the loop, in turn."""
     from store.calibration import get_item
+    from store.importer import import_capture
     from store.root import Store
-    from store.sessions import import_capture, read_session
+    from store.sessions import read_session
 
     name = folder.name
     base = work / "base"

@@ -10,7 +10,8 @@ from store.files import human_size
 from store.root import Store
 
 if TYPE_CHECKING:
-    from store.sessions import Imported, Session
+    from store.importer import Imported
+    from store.sessions import Session
 
 
 def configure(commands: Any) -> None:
@@ -46,7 +47,7 @@ def configure(commands: Any) -> None:
 
 def import_folder(folder: Path, store: Store, screen: Screen, name: str | None = None) -> "Imported":
     """Import, and say what came of it."""
-    from store.sessions import import_capture
+    from store.importer import import_capture
 
     done = import_capture(folder, store, name=name, progress=screen.progress)
     session = done.session

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from dag.plan import NodeState, State
-from dag.run import plain_parts, result_attrs
+from dag.publish import plain_parts, result_attrs
 from store.results import current, lacks, provenance
 from store.root import Store
 

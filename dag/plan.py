@@ -70,6 +70,11 @@ class NodePlan:
     absent: tuple[str, ...]
     """Optional calibration kinds that are not bound."""
 
+    @property
+    def is_source(self) -> bool:
+        """Whether the node brings in the session."""
+        return self.node.stage.is_source
+
     def chunk_indices(self, block: Block, array: str) -> list[ChunkIndex]:
         """Places in the array's chunk grid of a block's chunks, in the order of its record."""
         template = self.arrays[array]

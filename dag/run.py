@@ -7,14 +7,13 @@ The same graph runs on threads, on local processes and on a `distributed` cluste
 
 import contextlib
 import inspect
+import logging
 import os
-import platform
 import secrets
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol
@@ -22,15 +21,15 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dag.fingerprint import block_key, plain_context, stage_parts
-from dag.plan import NodePlan, NodeState, Piece, Plan, State, look_up
+from dag.fingerprint import block_key, stage_parts
+from dag.plan import NodePlan, Piece, Plan, State, look_up
+from dag.publish import NodeResult, publish_results
 from dag.stage import Stage, StageError
 from store.chunks import ChunkRef
 from store.digest import digest_value
 from store.errors import DamagedChunkError, RequestError, WorkError
 from store.keeper import verify
 from store.records import BlockRecord
-from store.results import ResultName, chunk_file, current, publish, set_current
 from store.root import Store
 
 
@@ -54,21 +53,6 @@ class Where:
     threads: int = field(default_factory=lambda: len(os.sched_getaffinity(0)))
     workers: int | None = None
     scheduler: str | None = None
-
-
-@dataclass(frozen=True)
-class NodeResult:
-    """What a run did for one node."""
-
-    computed: int
-    reused: int
-    seconds: float
-    """Time in kernels and writing, summed over threads."""
-    size: int
-    path: Path | None
-    files: Mapping[str, ChunkRef]
-    """The group's chunks, by their files."""
-    attrs: Mapping[str, Any]
 
 
 class BlockTask:
@@ -298,10 +282,10 @@ def _compute(state: State, store: Store, watcher: Watcher, where: Where, compute
     missing = {name: node.missing() for name, node in state.nodes.items()}
     missing = {name: blocks for name, blocks in missing.items() if blocks}
     first, last = state.frames or (0, state.plan.session.sizes["frame"])
-    totals = {name: sum(node.selected) for name, node in state.nodes.items() if not _is_source(node)}
+    totals = {name: sum(node.selected) for name, node in state.nodes.items() if not node.plan.is_source}
     watcher.begin(totals, last - first)
     for name, node in state.nodes.items():
-        if not _is_source(node):
+        if not node.plan.is_source:
             for i, record in enumerate(node.records):
                 if record is not None and node.selected[i]:
                     watcher.done(name, computed=False)
@@ -321,10 +305,6 @@ def _compute(state: State, store: Store, watcher: Watcher, where: Where, compute
         _run_distributed(graph, where, on_done)
     else:
         _run_threads(graph, where.threads, on_done)
-
-
-def _is_source(node: NodeState) -> bool:
-    return node.plan.node.stage.is_source
 
 
 def _as_task(state: State, name: str, index: int, store: Store, token: str) -> tuple[Any, ...]:
@@ -434,120 +414,12 @@ def _client(where: Where) -> Iterator[Any]:
     with (
         dask.config.set(quiet),
         LocalCluster(
-            n_workers=where.workers, threads_per_worker=1, processes=True, dashboard_address=None
+            n_workers=where.workers,
+            threads_per_worker=1,
+            processes=True,
+            dashboard_address=None,
+            silence_logs=logging.CRITICAL,
         ) as cluster,
         Client(cluster) as client,
     ):
         yield client
-
-
-def publish_results(
-    state: State, store: Store, versions: Mapping[str, str], computed: Set[str]
-) -> dict[str, NodeResult]:
-    """Make the result folder of every node that has blocks, and let `current` name it."""
-    results = {}
-    for name, node in state.nodes.items():
-        if not _is_source(node):
-            results[name] = _publish(state, name, node, store, versions, computed)
-    return results
-
-
-def _publish(
-    state: State, name: str, node: NodeState, store: Store, versions: Mapping[str, str], made: Set[str]
-) -> NodeResult:
-    chosen = [r for r, selected in zip(node.records, node.selected, strict=True) if r is not None and selected]
-    # counted over all rounds of a run: what was made before a damaged chunk was met was made, too
-    computed = [record for record in chosen if record.key in made]
-    chunks = node.chunks()
-    files = {chunk_file(array, index): ref for array, placed in chunks.items() for index, ref in placed.items()}
-    plan = node.plan
-    attrs = result_attrs(state, node)
-    path = None
-    if chosen:
-        session = state.plan.session
-        result = ResultName(session.name, name, plan.recipe, node.manifest(attrs))
-        path = publish(
-            result,
-            store,
-            arrays=plan.arrays,
-            coordinates=plan.coordinates(),
-            attrs=attrs,
-            chunks=chunks,
-            provenance={
-                "parts": plain_parts(plan),
-                "inputs": _input_values(state, node),
-                "above": {u: current(session.name, u, store) for u in plan.node.above},
-                "before": current(session.name, name, store),
-                "items": attrs["calibration_items"],
-                "versions": dict(versions),
-                "computed": len(computed),
-                "seconds": sum(record.seconds for record in chosen),
-                "bytes": sum(ref.size for ref in files.values()),
-                "host": platform.node(),
-                "finished": datetime.now(UTC).isoformat(timespec="seconds"),
-                "chunks": {
-                    array: {"/".join(map(str, index)): ref.as_plain() for index, ref in placed.items()}
-                    for array, placed in chunks.items()
-                },
-            },
-        )
-        set_current(result, store)
-        if current(session.name, name, store) != result.folder:
-            raise WorkError(f"{path} was removed while it was published (gc with too short a grace?); run again")
-        if len(chosen) == len(plan.blocks) and not node.remembered:
-            node.keys = [record.key for record in chosen]
-            store.records.put_node(str(node.node_key), chosen)
-    return NodeResult(
-        computed=len(computed),
-        reused=len(chosen) - len(computed),
-        seconds=sum(record.seconds for record in computed),
-        size=sum(record.size for record in chosen),
-        path=path,
-        files=files,
-        attrs=attrs,
-    )
-
-
-def result_attrs(state: State, node: NodeState) -> dict[str, Any]:
-    """What a result's group says of itself; nothing that differs from one run to the next."""
-    plan = node.plan
-    chosen = [r for r, selected in zip(node.records, node.selected, strict=True) if r is not None and selected]
-    names = sorted({name for record in chosen for name in record.stats})
-    stats = {name: float(np.mean([record.stats[name] for record in chosen])) for name in names}
-    attrs = {**{k: v for k, v in plan.grid.attrs.items() if v != ""}, **stats}
-    if plan.absent:
-        needs = plan.node.stage.calibration
-        attrs["calibration_absent"] = "; ".join(f"{kind}: {needs[kind].why}" for kind in plan.absent)
-    if len(chosen) < len(plan.blocks):
-        attrs["partial"] = f"{len(chosen)} of {len(plan.blocks)} blocks"
-    items = state.plan.items
-    return attrs | {
-        "session": state.plan.session.name,
-        "node": plan.node.name,
-        "stage": plan.node.stage.name,
-        "recipe": plan.recipe,
-        "parameters": plan.node.params.model_dump(mode="json"),
-        "calibration_items": {k: items[k].name for k in plan.node.stage.calibration if k in items},
-    }
-
-
-def plain_parts(plan: NodePlan) -> dict[str, Any]:
-    """What decides a node's result beside the pictures, by name, for people and for `why`."""
-    contexts = {digest: plain_context(context) for digest, context in sorted(plan.contexts.items())}
-    return {**plan.parts, "context": {block.label: contexts.get(block.context, {}) for block in plan.blocks}}
-
-
-def _input_values(state: State, node: NodeState) -> dict[str, list[str]]:
-    values: dict[str, list[str]] = {}
-    for block, record in zip(node.plan.blocks, node.records, strict=True):
-        if record is None:
-            continue
-        read = []
-        for pieces in block.reads.values():
-            for piece in pieces:
-                for upper, i, array, offset in piece.chunks:
-                    above = state.nodes[upper].records[i]
-                    if above is not None:
-                        read.append(above.outputs[array][offset].value)
-        values[block.label] = read
-    return values

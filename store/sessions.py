@@ -12,23 +12,20 @@ import json
 import os
 import shutil
 from collections.abc import Callable, Iterable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from dataclasses import replace as changed
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from store import document, files
-from store.calibration import Item, StoredPicture, get_item, items_in, put_item
-from store.capture import SESSION_NAME, Capture, PictureFile, read_capture
-from store.chunks import ChunkRef, Chunks, Staging
+from store.calibration import Item, StoredPicture
+from store.capture import SESSION_NAME
+from store.chunks import ChunkRef
 from store.digest import SHORT, digest_bytes, digest_value
-from store.errors import DamagedFileError, RequestError, WorkError, raise_all
+from store.errors import DamagedFileError, RequestError, WorkError
 from store.files import full_disk_is_named
 from store.grid import ArrayTemplate, ChunkIndex, Coordinate, write_group
-from store.picture import Picture, PictureError, decode, read_file
 from store.root import Store
 
 FORMAT = "lightstage-session/1"
@@ -137,284 +134,9 @@ def _as_plain(session: Session) -> dict[str, Any]:
     }
 
 
-@dataclass(frozen=True)
-class Imported:
-    """What an import did."""
-
-    session: Session
-    changes: tuple[str, ...]
-    """One line each; empty when everything was there already."""
-    warnings: tuple[str, ...]
-    new: bool
-
-
-@dataclass(frozen=True)
-class _ReadPicture:
-    file: PictureFile
-    digest: str
-    refs: tuple[ChunkRef, ...] | None
-    shape: tuple[int, int] | None
-    problem: str | None = None
-
-
-def import_capture(
-    folder: Path, store: Store, *, name: str | None = None, progress: Progress | None = None
-) -> Imported:
-    """Bring a capture folder into the store, or update the session that came from it.
-
-    Everything is read and checked before the session appears or changes. Unchanged files (by their bytes) are
-    not decoded again.
-
-    Raises:
-        RequestError: anything in the folder is wrong; every problem is listed.
-    """
-    capture = read_capture(folder)
-    session_name = capture.description.session if name is None else name
-    if not SESSION_NAME.fullmatch(session_name) or len(session_name) > 100:
-        raise RequestError(
-            f"--session {session_name[:100]!r}: a name has up to 100 letters, digits, dots, dashes and underscores"
-        )
-    staging = Staging(store.chunks, store.scratch)
-    try:
-        return _import(capture, session_name, store, staging, progress)
-    finally:
-        staging.discard()
-
-
-def _import(
-    capture: Capture, session_name: str, store: Store, staging: Staging, progress: Progress | None
-) -> Imported:
-    before = _session_before(session_name, store)
-    lost = 0 if before is None else sum(not store.chunks.intact(ref) for ref in before.refs())
-    pictures = capture.pictures()
-    warnings = [f"{path} is not mentioned in capture.yaml; passed over" for path in capture.extra_pictures()]
-
-    read = _read_pictures(capture, pictures, store, staging, before, progress)
-    shape = _one_shape(read)
-    mask, mask_file = _read_mask(capture, shape, staging)
-    items: dict[str, tuple[Item, bytes]] = {}
-    if capture.description.calibration is not None:
-        items, more = items_in(capture.folder / capture.description.calibration, staging)
-        warnings += more
-
-    # everything is right: from here on the store changes
-    staging.commit()
-    for item, original in items.values():
-        put_item(item, original, store)
-    facts = _facts(capture)
-    images = _arrange(read, facts)
-    came = {kind: item.digest for kind, (item, _) in items.items()}
-    bound = _bound_items(before, came)
-    source = {
-        "folder": str(capture.folder),
-        "files": {
-            result.file.path.relative_to(capture.folder).as_posix(): {
-                "digest": result.digest,
-                "frame": result.file.frame,
-                "bands": list(result.file.bands),
-                "polarisation": result.file.polarisation,
-            }
-            for result in read
-        },
-        "mask": mask_file,
-        "items": came,
-    }
-    session = Session(session_name, facts, shape, images, mask, bound, source, (), "")
-    changes = _changes(before, session)
-    if before is not None and not changes:
-        if lost or before.source != source:
-            # restored pictures may be stored in other bytes; or the archive has moved and nothing of it has changed
-            session = _commit(changed(session, verdict=before.verdict), store)
-            show_raw(session, store, anew=lost > 0)
-        else:
-            session = before
-            show_raw(session, store)
-        restored = (f"{lost} damaged or lost picture(s) were restored",) if lost else ()
-        return Imported(session, restored, tuple(warnings), new=False)
-    session = changed(session, verdict=tuple(_verdict(session, store)))
-    if before is not None and before.source["folder"] != source["folder"]:
-        warnings.append(f"session '{session_name}' came from {before.source['folder']} before")
-    session = _commit(session, store)
-    return Imported(session, tuple(changes), tuple(warnings), new=before is None)
-
-
-def _bound_items(before: Session | None, came: Mapping[str, str]) -> dict[str, str]:
-    """Kind -> digest after an import: what came with the folder is bound when it is new there, so that an item that
-    somebody has bound by hand stays until the folder's own changes; what has left the folder is released."""
-    bound = {} if before is None else dict(before.items)
-    came_before = {} if before is None else before.source.get("items", {})
-    for kind, digest in came.items():
-        if came_before.get(kind) != digest or kind not in bound:
-            bound[kind] = digest
-    for kind, digest in came_before.items():
-        if kind not in came and bound.get(kind) == digest:
-            del bound[kind]
-    return bound
-
-
-def _session_before(name: str, store: Store) -> Session | None:
-    """The session of that name, or None where there is none, or none that can be read."""
-    if name not in session_names(store):
-        return None
-    try:
-        return read_session(name, store)
-    except DamagedFileError:
-        return None
-
-
-def _facts(capture: Capture) -> dict[str, Any]:
-    d = capture.description
-    bits = 16 if d.encoding == "srgb" else d.bits
-    return {
-        "rig": d.rig,
-        "captured": d.captured,
-        "bits": bits,
-        "white_level": (1 << bits) - 1,
-        "frame_rate_hz": d.frame_rate_hz,
-        "cameras": dict(d.cameras),
-        "polarisation": list(capture.polarisations),
-        "mount": {camera: mount.model_dump() for camera, mount in d.mount.items()},
-        "bands_nm": list(d.bands_nm),
-        "colour": d.colour,
-        "encoding": d.encoding,
-        "illumination": [frame.illumination for frame in d.frames],
-        "time_s": [frame.time_s for frame in d.frames],
-        "intensities": {
-            k: [float(v)] * len(d.bands_nm) if isinstance(v, int | float) else [float(x) for x in v]
-            for k, v in d.intensities.items()
-        },
-        "target": None if d.target is None else d.target.model_dump(mode="json"),
-    }
-
-
-def _read_pictures(
-    capture: Capture,
-    pictures: list[PictureFile],
-    store: Store,
-    staging: Staging,
-    before: Session | None,
-    progress: Progress | None,
-) -> list[_ReadPicture]:
-    known: dict[tuple[str, int, str, tuple[int, ...]], tuple[ChunkRef, ...]] = {}
-    same_decoding = before is not None and all(
-        before.facts[key] == _facts(capture)[key] for key in ("bits", "encoding", "colour")
-    )
-    if before is not None and same_decoding:
-        axis = {p: i for i, p in enumerate(before.polarisations)}
-        for file in before.source["files"].values():
-            refs = tuple(before.images[file["frame"]][b][axis[file["polarisation"]]] for b in file["bands"])
-            if all(store.chunks.intact(ref) for ref in refs):
-                known[file["digest"], file["frame"], file["polarisation"], tuple(file["bands"])] = refs
-
-    def read(picture: PictureFile) -> _ReadPicture:
-        try:
-            data, _ = read_file(picture.path)
-            digest = digest_bytes(data)
-            refs = known.get((digest, picture.frame, picture.polarisation, picture.bands))
-            if refs is not None and before is not None:
-                return _ReadPicture(picture, digest, refs, before.shape)
-            planes = capture.planes(data)
-        except PictureError as error:
-            return _ReadPicture(picture, "", None, None, f"{picture.path} {error}")
-        refs = tuple(staging.put(np.ascontiguousarray(plane)[None, None, None]) for plane in planes)
-        return _ReadPicture(picture, digest, refs, (planes.shape[1], planes.shape[2]))
-
-    with ThreadPoolExecutor(max_workers=len(os.sched_getaffinity(0))) as pool:
-        results = pool.map(read, pictures)
-        return list(progress(results, len(pictures), "pictures") if progress else results)
-
-
-def _one_shape(read: list[_ReadPicture]) -> tuple[int, int]:
-    shapes = [result.shape for result in read if result.shape is not None]
-    problems = [result.problem for result in read if result.problem is not None]
-    if shapes:
-        usual = max(set(shapes), key=shapes.count)
-        problems += [
-            f"{r.file.path} is {r.shape[1]} x {r.shape[0]}; the other pictures are {usual[1]} x {usual[0]}"
-            for r in read
-            if r.shape is not None and r.shape != usual
-        ]
-    if len(problems) > 20:
-        problems[20:] = [f"... and {len(problems) - 20} more pictures like these"]
-    raise_all(problems)
-    return usual
-
-
-def _read_mask(capture: Capture, shape: tuple[int, int], chunks: Chunks) -> tuple[StoredPicture | None, Any]:
-    if capture.description.mask is None:
-        return None, None
-    path = capture.folder / capture.description.mask
-    try:
-        data, _ = read_file(path)
-        picture: Picture = decode(data)
-    except PictureError as error:
-        raise RequestError(f"{path} {error}; capture.yaml names it as the mask") from None
-    if picture.ndim == 3:
-        picture = picture.max(axis=2)
-    if picture.shape != shape:
-        raise RequestError(
-            f"{path} is {picture.shape[1]} x {picture.shape[0]}; the mask must be as large as the pictures, "
-            f"{shape[1]} x {shape[0]}"
-        )
-    mask = np.ascontiguousarray(picture > 0)
-    stored = StoredPicture(chunks.put(mask), mask.dtype.str, mask.shape)
-    return stored, {"name": capture.description.mask, "digest": digest_bytes(data)}
-
-
-def _arrange(read: list[_ReadPicture], facts: Mapping[str, Any]) -> tuple[tuple[tuple[ChunkRef, ...], ...], ...]:
-    place: dict[tuple[int, int, str], ChunkRef] = {}
-    for result in read:
-        for band, ref in zip(result.file.bands, result.refs or (), strict=True):
-            place[result.file.frame, band, result.file.polarisation] = ref
-    return tuple(
-        tuple(
-            tuple(place[frame, band, polarisation] for polarisation in facts["polarisation"])
-            for band in range(len(facts["bands_nm"]))
-        )
-        for frame in range(len(facts["illumination"]))
-    )
-
-
-def _changes(before: Session | None, after: Session) -> list[str]:
-    if before is None:
-        return [f"session '{after.name}' is new"]
-    changes = []
-    for key, value in after.facts.items():
-        if before.facts.get(key) != value:
-            shown = f"{before.facts.get(key)} -> {value}"
-            changes.append(f"{key} changed" + (f": {shown}" if len(shown) < 120 else ""))
-    old_files = {_plane(f): f["digest"] for f in before.source["files"].values()}
-    for file_name, file in after.source["files"].items():
-        old = old_files.get(_plane(file))
-        if old is None:
-            changes.append(f"picture {file_name} is new")
-        elif old != file["digest"] and _refs_of(before, file) != _refs_of(after, file):
-            changes.append(f"picture {file_name} changed")
-    dropped = len(set(old_files) - {_plane(f) for f in after.source["files"].values()})
-    if dropped:
-        changes.append(f"{dropped} picture(s) are gone")
-    if (before.mask and before.mask.chunk.value) != (after.mask and after.mask.chunk.value):
-        changes.append("the mask changed")
-    for kind, digest in after.items.items():
-        old = before.items.get(kind)
-        if old != digest:
-            changes.append(f"calibration item {kind} " + ("is new" if old is None else "changed"))
-    changes += [f"calibration item {kind} is gone" for kind in before.items if kind not in after.items]
-    return changes
-
-
-def _plane(file: Mapping[str, Any]) -> tuple[Any, ...]:
-    return (file["frame"], file["polarisation"], tuple(file["bands"]))
-
-
-def _refs_of(session: Session, file: Mapping[str, Any]) -> list[str]:
-    axis = session.polarisations.index(file["polarisation"])
-    return [session.images[file["frame"]][band][axis].value for band in file["bands"]]
-
-
 def bind_item(session: Session, item: Item, store: Store) -> Session:
     """Use another calibration item for a session from now on."""
-    return _commit(changed(session, items={**session.items, item.kind: item.digest}), store)
+    return commit_session(changed(session, items={**session.items, item.kind: item.digest}), store)
 
 
 def remove_session(name: str, store: Store) -> int:
@@ -433,7 +155,8 @@ def remove_session(name: str, store: Store) -> int:
     return total
 
 
-def _commit(session: Session, store: Store) -> Session:
+def commit_session(session: Session, store: Store) -> Session:
+    """Let a session be what it says: its pictures as a group first, then session.json, then the link."""
     data = json.dumps(_as_plain(session), separators=(",", ":")).encode()
     session = changed(session, digest=digest_bytes(data))
     _write_raw(session, store)
@@ -522,60 +245,3 @@ def show_raw(session: Session, store: Store, *, anew: bool = False) -> None:
     temporary = store.scratch.path()
     os.symlink(wanted, temporary)
     os.replace(temporary, link)
-
-
-def _verdict(session: Session, store: Store) -> Iterable[dict[str, Any]]:
-    """One row an illumination, band and camera: is this capture any good?
-
-    saturated: fraction of pixels at the white level. underexposed: fraction below 2 % of the range above the
-    dark. complement_residual: median of |a + a' - c| / c where c is bright, for gradients whose complement
-    and constant image are there. Repeated illuminations count together (worst fraction, first residual).
-    """
-    facts, white = session.facts, session.facts["white_level"]
-    dark = _mean_dark(session, store)
-    frames: dict[str, list[int]] = {}
-    for i, illumination in enumerate(facts["illumination"]):
-        frames.setdefault(illumination, []).append(i)
-
-    def load(frame: int, band: int, polarisation: int) -> Picture:
-        ref = session.images[frame][band][polarisation]
-        return store.chunks.get(ref, dtype="<u2", shape=session.shape)
-
-    for b, band_nm in enumerate(facts["bands_nm"]):
-        for p, polarisation in enumerate(session.polarisations):
-            offset = dark.get(polarisation, 0.0)
-            for illumination, indices in frames.items():
-                saturated = under = 0.0
-                for i in indices:
-                    picture = load(i, b, p)
-                    saturated = max(saturated, float(np.mean(picture >= white)))
-                    under = max(under, float(np.mean(picture < offset + 0.02 * (white - offset))))
-                residual = None
-                opposite = illumination[0] + ("" if illumination.endswith("c") else "c")
-                if illumination[0] in "XYZ" and opposite in frames and "C" in frames:
-                    first = _nearest(indices[0], frames[opposite])
-                    constant = load(_nearest(indices[0], frames["C"]), b, p) - offset
-                    total = load(indices[0], b, p) + load(first, b, p).astype(np.float64) - 2 * offset
-                    bright = constant > 0.1 * np.percentile(constant, 99)
-                    if bright.any():
-                        residual = float(np.median(np.abs(total - constant)[bright] / constant[bright]))
-                yield {
-                    "band_nm": band_nm,
-                    "polarisation": polarisation,
-                    "illumination": illumination,
-                    "saturated": saturated,
-                    "underexposed": under,
-                    "complement_residual": residual,
-                }
-
-
-def _nearest(frame: int, candidates: list[int]) -> int:
-    return min(candidates, key=lambda i: abs(i - frame))
-
-
-def _mean_dark(session: Session, store: Store) -> dict[str, float]:
-    if "dark" not in session.items:
-        return {}
-    item = get_item("dark", session.items["dark"], store)
-    means = {camera: float(np.mean(p.load(store))) / item.values["scale"] for camera, p in item.pictures.items()}
-    return {p: means[camera] for p, camera in session.facts["cameras"].items() if camera in means}

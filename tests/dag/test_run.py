@@ -17,8 +17,9 @@ import numpy as np
 import pytest
 import xarray
 
+from store.importer import import_capture
 from store.root import Store
-from store.sessions import import_capture, read_session
+from store.sessions import read_session
 from tests.conftest import REPOSITORY, Answer, run_process
 from tests.scenes import one_camera_capture, sphere_capture
 

@@ -11,8 +11,8 @@ from hw import head, skin
 from hw.errors import RigError
 from hw.sensor import ELECTRONS_PER_COUNT, OFFSET, READ_NOISE_ELECTRONS, Sensor
 from hw.virtual_rig import Shot, capture
+from store.importer import import_capture
 from store.root import Store
-from store.sessions import import_capture
 
 
 @pytest.fixture(scope="module")

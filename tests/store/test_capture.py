@@ -12,9 +12,9 @@ import yaml
 
 from store.capture import read_capture
 from store.errors import RequestError
+from store.importer import import_capture
 from store.picture import PictureError, decode, linear_from_srgb
 from store.root import Store
-from store.sessions import import_capture
 from tests.scenes import one_camera_capture, write_capture
 
 

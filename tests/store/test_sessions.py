@@ -13,8 +13,9 @@ import yaml
 
 from store.calibration import get_item
 from store.errors import RequestError
+from store.importer import import_capture
 from store.root import Store
-from store.sessions import import_capture, read_session, remove_session, session_names
+from store.sessions import read_session, remove_session, session_names
 from tests.scenes import STATIC, one_camera_capture
 
 
