@@ -248,7 +248,7 @@ def test_npy_is_the_decoded_result(exported: Callable[..., Path], lightstage: Li
 
 
 def test_a_full_disk_is_a_sentence_and_nothing_is_lost(tmp_path: Path, sphere: Path) -> None:
-    """A limit on file size makes the kernel refuse the write as a full disk would, in the real code."""
+    """The disk says "no space left" when it is asked to flush for the sixth time; all else is the real code."""
     store = tmp_path / "store"
     assert run_process("import", sphere, store=store).returncode == 0
     code = (
