@@ -49,6 +49,7 @@ NUMERIC: Mapping[str, str] = {
     "cv2": "opencv-contrib-python-headless",
     "numba": "numba",
     "numpy": "numpy",
+    "pyamg": "pyamg",
     "scipy": "scipy",
     "skimage": "scikit-image",
 }

@@ -185,7 +185,12 @@ def make_plan(
     Raises:
         RequestError: a stage refuses the session, or an item does not hold for it; all such, a line each.
     """
-    facts = {**session.facts, "shape": list(session.shape)}
+    facts = {
+        **session.facts,
+        "shape": list(session.shape),
+        "mask": _mask(session, store),
+        "light_ids": [light["id"] for light in items["lights"].values["lights"]] if "lights" in items else [],
+    }
     nodes: dict[str, NodePlan] = {}
     problems: list[str] = []
     for name in graph.with_all_above(targets):
@@ -203,6 +208,12 @@ def make_plan(
             problems.append(f"session '{session.name}', {name}: {error}")
     raise_all(problems)
     return Plan(graph, session, nodes, items, tuple(targets))
+
+
+def _mask(session: Session, store: Store) -> CalibrationPicture | None:
+    if session.mask is None:
+        return None
+    return CalibrationPicture(session.mask.chunk.value, partial(StoredPicture.load, session.mask, store))
 
 
 def _item_problems(node: Node, items: Mapping[str, Item], facts: Mapping[str, Any]) -> list[str]:
@@ -241,11 +252,13 @@ def _plan_node(
     grid = arrangement.grid
     arrays = {}
     for name, output in stage.outputs.items():
+        if arrangement.outputs is not None and name not in arrangement.outputs:
+            continue
         dims = tuple(names.get(dim, dim) for dim in output.dims)
         shape = tuple(grid.sizes[dim] for dim in dims)
         chunk = tuple(size if dim in output.whole else 1 for dim, size in zip(dims, shape, strict=True))
         arrays[name] = ArrayTemplate(dims, shape, chunk, output.dtype, output.attrs)
-    block_dims = tuple(names.get(dim, dim) for dim in stage.blocks)
+    block_dims = tuple(names.get(dim, dim) for dim in arrangement.blocks or stage.blocks)
     contexts: dict[str, Mapping[str, Any]] = {}
     blocks = []
     ranges = [range(grid.sizes[dim]) for dim in block_dims]
@@ -318,6 +331,8 @@ def _reads(
     reads: dict[str, tuple[Piece, ...]] = {}
     for name, spec in node.stage.inputs.items():
         upper = above[spec.source]
+        if spec.array not in upper.arrays:
+            raise StageError(f"{upper.node.name} makes no '{spec.array}' with its parameters; it is needed here")
         array = upper.arrays[spec.array]
         if spec.how == "each":
             here = dict(zip(dims, index, strict=True))

@@ -95,11 +95,15 @@ class Arrangement:
     """One per block, for stages that group; empty for `each`."""
     dims: Mapping[str, str] = field(default_factory=dict)
     """Declared dimension -> the one that this session has, where a declaration leaves it open (`a|b`)."""
+    blocks: tuple[str, ...] | None = None
+    """The block dimensions, where parameters make them others than the stage's."""
+    outputs: frozenset[str] | None = None
+    """The declared outputs that these parameters make; None: all."""
 
 
 @dataclass(frozen=True)
 class CalibrationPicture:
-    """A picture of a calibration item, by its content; the engine loads the pixels before `prepare`."""
+    """A picture of a calibration item, or the session's mask, by its content; `prepare` loads the pixels."""
 
     digest: str
     load: Callable[[], Any] = field(compare=False, repr=False)

@@ -8,6 +8,14 @@ that a stage calls; they count in its key.
     one_light.py             photometric stereo from one light at a time
     band_fusion.py           one picture from all bands, weighted by noise
     resampling.py            dark, flat, and one cubic resampling
+    near_light.py            how a near-light rig shades a point, and the normal that this tells
+    self_consistent.py       depth, shadows and bounced light, found together with the normals
+    integration.py           depth from normals
+    visibility.py            which lights each point sees
+    interreflection.py       bounced light, from six bands or from tiles
+    normal_filter.py         non-local means on normals
+    subject_mask.py          where the subject is
+    pinhole.py               the reference camera: rays, points, smaller pictures
 """
 
 from collections.abc import Mapping

@@ -4,12 +4,16 @@ The gradient methods (ratio, difference, minimal) with their QP correction and t
 `spherical_gradients.py`, one light at a time in `one_light.py`, the fusion of bands in `band_fusion.py`. This
 file chooses the method that a session's frames support and says which.
 
+`correct` takes out what the methods neglect. `lights` inverts the response of this rig with its lights taken as
+distant; `near`, `near+shadows` and `full` (with bounced light) find depth and visibility together with the
+normals (`self_consistent.py`) and give them as results of their own.
+
 A static capture gives one normal map. A performance gives one at every tracking frame (C) whose window,
 between the tracking frames before and after it, holds a full set; the pictures of the set are used as they
 are, without alignment.
 
-Must have run before: stack. Limits: lights are taken as distant and unoccluded, so near light, shadows and
-inter-reflection stay in the result (docs/accuracy.md measures them).
+Must have run before: stack. Limits: without `correct` lights are taken as distant and unoccluded, so near
+light, shadows and inter-reflection stay in the result (docs/accuracy.md measures them).
 
 Sources: Ma et al. (2007), Wilson et al. (2010), Dutta (2010) chapter 3, Woodham (1980).
 """
@@ -24,9 +28,12 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from dag.stage import Arrangement, Grid, Group, Input, Items, Needs, Output, Params, Stage, StageError
-from stages import one_light, spherical_gradients
-from stages.band_fusion import fuse
+from stages import near_light, one_light, self_consistent, spherical_gradients
+from stages.band_fusion import fuse as fuse_bands
+from stages.normal_filter import non_local_means
+from stages.pinhole import Pinhole
 from stages.spherical_gradients import AXES, FILL, GRADIENTS, STEPS, table
+from stages.subject_mask import find_subject
 
 
 class NormalsParams(Params):
@@ -38,11 +45,21 @@ class NormalsParams(Params):
     base: Literal["auto", "X", "Y", "Z"] = Field(
         "auto", description="the pair of a minimal set; auto: what is held"
     )
-    correct: Literal["none", "qp"] = Field("none", description="qp: Dutta's correction, all seven pictures")
+    correct: Literal["none", "qp", "lights", "near", "near+shadows", "full"] = Field(
+        "none",
+        description="qp: Dutta's correction, all seven pictures; lights: this rig's response inverted; near, "
+        "near+shadows, full: with depth, shadows, bounced light estimated",
+    )
+    filter: Literal["none", "nlm"] = Field(
+        "none", description="nlm: non-local means with the measured noise; costs some of the finest detail"
+    )
     component: Literal["diffuse", "specular"] = Field("diffuse", description="which light the pictures show")
     fuse: Literal["none", "bands"] = Field("none", description="bands: one map from all bands, weighted by noise")
 
 
+RIG_MODELS = ("lights", "near", "near+shadows", "full")
+"""The corrections that know this rig's lights; all but the first estimate depth."""
+VISIBILITY_STEPS = 255
 _BY_NOISE = ("difference", "minimal", "ratio", "least_squares")
 
 
@@ -78,8 +95,10 @@ def choose(have: Sequence[str], *, method: str = "auto", base: str = "auto", cor
             f"{what} needs {_needs(method, base)}; the session has {', '.join(dict.fromkeys(have))}; {works}"
         )
     if chosen == "least_squares":
-        if correct == "qp":
-            raise StageError("correct: qp belongs to the gradient methods; with least_squares set correct: none")
+        if correct != "none":
+            raise StageError(
+                f"correct: {correct} belongs to the gradient methods; with least_squares set correct: none"
+            )
         return Choice(chosen, "", lights)
     axis = (
         next(a for a in AXES if base in ("auto", a) and _supports("minimal", a, present))
@@ -131,7 +150,10 @@ def normals(
     diffuse_constant: bool,
     lights: NDArray[np.float64] | None,
     view: NDArray[np.float32] | None,
+    rig: "Rig | None" = None,
     correct: str = "none",
+    fuse: str = "none",
+    filter: str = "none",
 ) -> Mapping[str, Any]:
     """Normals of one tracking frame.
 
@@ -143,16 +165,23 @@ def normals(
         diffuse_constant: whether the albedo is read instead of being the method's own r_c.
         lights: (light, xyz) in the order of `names`, for least_squares.
         view: (xyz, y, x) unit vectors to the camera, for specular pictures.
-        correct: none or qp.
+        rig: what the corrections of RIG_MODELS need.
+        correct: none, qp, or one of RIG_MODELS.
+        fuse: with a rig model, whether all bands give one map (bands) or one each (none).
+        filter: none or nlm.
 
     Returns:
         `normal` (xyz, y, x) int16 in steps of 1 / STEPS; `albedo` and `norm` (y, x) float32, NaN where not
-        valid; `valid` (y, x).
+        valid; `valid` (y, x). With a rig model all have a leading band, and `depth_mm`, `irradiance` (y, x) and
+        `visibility` (light, y, x) come with them as far as the model has them.
     """
     count = len(names)
     bands = len(radiance) // (count + int(diffuse_constant))
+    if rig is not None:
+        by_band = [{name: radiance[b * count + i] for i, name in enumerate(names)} for b in range(bands)]
+        return _with_rig(by_band, rig, model=correct, as_one=fuse == "bands", filtered=filter == "nlm")
     groups = [[radiance[b * count + i] for i in range(count)] for b in range(bands)] if bands > 1 else None
-    pictures: Sequence[NDArray[np.float32]] = fuse(groups, names) if groups else _Head(radiance, count)
+    pictures: Sequence[NDArray[np.float32]] = fuse_bands(groups, names) if groups else _Head(radiance, count)
     if choice.method == "least_squares":
         assert lights is not None
         result = one_light.solve(pictures, lights)
@@ -163,9 +192,95 @@ def normals(
     albedo = result.constant
     if diffuse_constant:
         constants = [[radiance[bands * count + b]] for b in range(bands)]
-        albedo = fuse(constants, ["C"])[0] if bands > 1 else np.asarray(constants[0][0])
+        albedo = fuse_bands(constants, ["C"])[0] if bands > 1 else np.asarray(constants[0][0])
         albedo = np.where(result.valid, albedo, np.float32(np.nan))
-    return {"normal": result.normal, "albedo": albedo, "norm": result.norm, "valid": result.valid}
+    normal = result.normal
+    if filter == "nlm":
+        unit = np.where(normal == FILL, np.nan, normal / STEPS).transpose(1, 2, 0)
+        normal = quantised(non_local_means(unit, 1 / np.sqrt(np.maximum(albedo, 1e-12)), result.valid))
+    return {"normal": normal, "albedo": albedo, "norm": result.norm, "valid": result.valid}
+
+
+def quantised(normal: NDArray[np.floating]) -> NDArray[np.int16]:
+    """(y, x, xyz) unit vectors, NaN where there is none, as they are stored: (xyz, y, x) in steps of 1 / STEPS."""
+    known = np.isfinite(normal).all(axis=2, keepdims=True)
+    steps = np.floor(np.where(known, normal, 0) * STEPS + 0.5)
+    return np.ascontiguousarray(np.where(known, steps, FILL).astype(np.int16).transpose(2, 0, 1))
+
+
+class Rig(NamedTuple):
+    """What the corrections know of the rig and the subject."""
+
+    camera: Pinhole
+    lights: near_light.Lights
+    mask: NDArray[np.bool_] | None
+    """(y, x); None: to be found in the pictures."""
+
+
+def _with_rig(
+    bands: Sequence[Mapping[str, NDArray[np.float32]]], rig: Rig, *, model: str, as_one: bool, filtered: bool
+) -> Mapping[str, Any]:
+    """Normals with a model of the rig's lights; see `normals`."""
+    measured = near_light.measure(bands)
+    shape = measured.constant.shape[1:]
+    if model == "lights":
+        return _read_out(measured, None, np.zeros((*shape, 3)), rig, as_one=as_one, filtered=filtered)
+    mask = rig.mask if rig.mask is not None else find_subject(measured.constant.mean(axis=0))
+    found = self_consistent.solve(measured, mask, rig.camera, rig.lights, model=model)
+    points = rig.camera.points(found.depth)
+    return _read_out(measured, found, points, rig, as_one=as_one, filtered=filtered)
+
+
+def _read_out(
+    measured: near_light.Measured,
+    found: self_consistent.Geometry | None,
+    points: NDArray[np.float64],
+    rig: Rig,
+    *,
+    as_one: bool,
+    filtered: bool,
+) -> Mapping[str, Any]:
+    """The kernel's outputs from what the rounds found; without it, lights are distant."""
+    mask = measured.weight.sum(axis=0) > 0 if found is None else found.mask
+    at, seen = points[mask], None if found is None else found.seen
+    fused = near_light.fused(measured)
+    irradiance = np.full(mask.shape, np.nan)
+    irradiance[mask] = near_light.invert(fused.vector[0][mask], at, rig.lights, seen).direct
+    if found is not None:
+        measured = found.without_bounces(measured, np.where(mask, irradiance, 1.0))
+    norms = np.linalg.norm(measured.vector, axis=3) / (2 * np.maximum(measured.constant, 1e-30))
+    wanted = near_light.fused(measured) if as_one else measured
+    normals_, valids = [], []
+    for vector, weight in zip(wanted.vector, wanted.weight, strict=True):
+        valid = mask & (weight > 0)
+        normal = np.full((*mask.shape, 3), np.nan)
+        normal[valid] = near_light.invert(
+            vector[valid], points[valid], rig.lights, None if seen is None else seen[valid[mask]]
+        ).normal
+        if filtered:
+            normal = non_local_means(normal, np.where(valid, 1 / np.sqrt(np.maximum(weight, 1e-30)), 0), valid)
+        normals_.append(quantised(normal))
+        valids.append(valid & np.isfinite(normal).all(axis=2))
+    albedo, norm = measured.constant, norms
+    if as_one:
+        total = np.maximum(measured.weight.sum(axis=0), 1e-30)
+        albedo, norm = (((measured.weight * a).sum(axis=0) / total)[None] for a in (albedo, norm))
+    valid_ = np.stack(valids)
+    out: dict[str, Any] = {
+        "normal": np.stack(normals_),
+        "albedo": np.where(valid_, albedo, np.nan).astype(np.float32),
+        "norm": np.where(valid_, norm, np.nan).astype(np.float32),
+        "valid": valid_,
+    }
+    if found is not None:
+        out["depth_mm"] = found.depth.astype(np.float32)
+        out["irradiance"] = irradiance.astype(np.float32)
+        out["stats"] = {"distance_mm": found.distance_mm, "distance_found": float(found.distance_found)}
+    if seen is not None:
+        share = np.zeros((seen.shape[1], *mask.shape), np.uint8)
+        share[:, mask] = np.floor(seen.T * VISIBILITY_STEPS + 0.5).astype(np.uint8)
+        out["visibility"] = share
+    return out
 
 
 class _Head(Sequence[NDArray[np.float32]]):
@@ -241,7 +356,9 @@ def _context(
     labels: Mapping[str, Any], facts: Mapping[str, Any], items: Items, params: NormalsParams
 ) -> Mapping[str, Any]:
     choice = labels["choice"]
-    camera = lights = None
+    camera = lights = rig = None
+    if params.correct in RIG_MODELS:
+        rig = _rig_of(facts, items, params.correct)
     if params.component == "specular" and "camera" in items:
         names = ("size_px", "K", "distortion", "world_to_camera")
         camera = {name: items["camera"][name] for name in names}
@@ -269,6 +386,25 @@ def _context(
         "shape": labels["shape"],
         "camera": camera,
         "lights": lights,
+        "rig": rig,
+    }
+
+
+def _rig_of(facts: Mapping[str, Any], items: Items, model: str) -> Mapping[str, Any]:
+    """The part of camera and lights that a model of the rig reads, and the capture's mask."""
+    missing = [kind for kind in ("lights", "camera") if kind not in items]
+    if missing:
+        raise StageError(
+            f"correct: {model} needs the {' and the '.join(missing)} item; bind one with "
+            "`lightstage calibration use FILE --session S`, or measure it with `lightstage calibrate`"
+        )
+    fields = ("id", "position_mm", "direction", "drive_position", "power")
+    near = model != "lights"
+    return {
+        "camera": {name: items["camera"][name] for name in ("size_px", "K", "distortion", "world_to_camera")},
+        "lights": {"lights": [{k: light[k] for k in fields} for light in items["lights"]["lights"]]},
+        "near": near,
+        "mask": facts["mask"] if near else None,
     }
 
 
@@ -281,8 +417,16 @@ def _prepare(
     shape: Sequence[int],
     camera: Mapping[str, Any] | None,
     lights: Mapping[str, Any] | None,
+    rig: Mapping[str, Any] | None,
 ) -> Mapping[str, Any]:
-    view = None
+    view = known = None
+    if rig is not None:
+        mask = None if rig["mask"] is None else np.asarray(rig["mask"].load()) > 0
+        known = Rig(
+            Pinhole.of(rig["camera"], (int(shape[0]), int(shape[1]))),
+            near_light.Lights.of(rig["lights"], near=rig["near"]),
+            mask,
+        )
     if specular:
         size = (int(shape[0]), int(shape[1]))
         view = np.zeros((3, *size), np.float32)
@@ -295,6 +439,7 @@ def _prepare(
         "diffuse_constant": diffuse_constant,
         "lights": None if lights is None else light_directions(lights, names),
         "view": view,
+        "rig": known,
     }
 
 
@@ -345,6 +490,9 @@ def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: NormalsPar
     sets = _sets(list(stacked.along("illumination")), performance, params)
     bands = list(stacked.along("band"))
     fused = params.fuse == "bands" and len(bands) > 1
+    modelled = params.correct in RIG_MODELS
+    if modelled and component == "specular":
+        raise StageError(f"correct: {params.correct} is a model of diffuse light; set component: diffuse")
     height, width = stacked.sizes["y"], stacked.sizes["x"]
     frame_of = list(stacked.along("frame"))
     if performance:
@@ -353,7 +501,7 @@ def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: NormalsPar
     for _, choice, place in sets:
         if component == "specular" and choice.method == "least_squares":
             raise StageError("component: specular needs a gradient method; least_squares is for diffuse light")
-        for b in [list(range(len(bands)))] if fused else [[b] for b in range(len(bands))]:
+        for b in [list(range(len(bands)))] if fused or modelled else [[b] for b in range(len(bands))]:
             extra = component == "specular" and "C" in place
             seen = components.index(component)
             pieces = [{dim: place[name], "band": i, "component": seen} for i in b for name in choice.pictures]
@@ -376,6 +524,13 @@ def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: NormalsPar
         "band": (("band",), [0.0] if fused else bands),
         "xyz": (("xyz",), list("xyz")),
     }
+    outputs = {"normal", "albedo", "norm", "valid"}
+    if modelled and params.correct != "lights":
+        outputs |= {"depth_mm", "irradiance"}
+    if params.correct in ("near+shadows", "full") and facts["light_ids"]:
+        outputs |= {"visibility"}
+        sizes["light"] = len(facts["light_ids"])
+        labels["light"] = (("light",), facts["light_ids"])
     if performance:
         labels["time_s"] = (("tracking",), times)
     used = sorted({choice.method for _, choice, _ in sets})
@@ -385,10 +540,17 @@ def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: NormalsPar
         "correct": params.correct,
         "component": component,
         "fuse": params.fuse,
+        "filter": params.filter,
         "frame": "world: right-handed, x right, y up, z towards the camera",
         **notes,
     }
-    return Arrangement(Grid(sizes, labels, attrs), tuple(groups), {"illumination|frame": dim})
+    return Arrangement(
+        Grid(sizes, labels, attrs),
+        tuple(groups),
+        {"illumination|frame": dim},
+        ("tracking",) if modelled else None,  # one geometry for all bands
+        frozenset(outputs),
+    )
 
 
 STAGE = Stage(
@@ -398,8 +560,10 @@ STAGE = Stage(
     params=NormalsParams,
     inputs={"radiance": Input("radiance", ("illumination|frame", "band", "component", "y", "x"), "group")},
     calibration={
-        "camera": Needs(why="specular normals take (0, 0, 1) as the view direction everywhere"),
-        "lights": Needs(why="least_squares cannot be used"),
+        "camera": Needs(
+            why="specular normals take (0, 0, 1) as the view direction everywhere; no depth can be estimated"
+        ),
+        "lights": Needs(why="least_squares, and corrections that model the rig's lights, cannot be used"),
     },
     outputs={
         "normal": Output(
@@ -411,11 +575,27 @@ STAGE = Stage(
         "albedo": Output(("tracking", "band", "y", "x"), "float32", attrs={"units": "radiance"}),
         "norm": Output(("tracking", "band", "y", "x"), "float32", attrs={"units": "1"}),
         "valid": Output(("tracking", "band", "y", "x"), "bool"),
+        "depth_mm": Output(
+            ("tracking", "y", "x"), "float32", attrs={"units": "mm", "long_name": "camera z of the surface"}
+        ),
+        "irradiance": Output(
+            ("tracking", "y", "x"),
+            "float32",
+            attrs={
+                "units": "1",
+                "long_name": "constant light that arrives directly, shadows in; radiance of white",
+            },
+        ),
+        "visibility": Output(
+            ("tracking", "light", "y", "x"),
+            "uint8",
+            attrs={"scale_factor": 1 / VISIBILITY_STEPS, "units": "1"},
+        ),
     },
     blocks=("tracking", "band"),
     arrange=_arrange,
     context=_context,
     prepare=_prepare,
-    prepared=("choice", "names", "diffuse_constant", "lights", "view"),
+    prepared=("choice", "names", "diffuse_constant", "lights", "view", "rig"),
     kernel=normals,
 )

@@ -120,3 +120,53 @@ def one_camera_capture(
         (i, 0, polarisation): generator.integers(50, 900, shape).astype(np.uint16) for i in range(len(illumination))
     }
     return write_capture(folder, pictures, illumination=illumination, **more)
+
+
+LIGHT_MM = 790.0
+
+
+def light_places(count: int = 41, seed: int = 0) -> tuple[Array, Array]:
+    """(light, xyz) positions in mm spread over a sphere of LIGHT_MM, each some mm off, and their drive vectors."""
+    k = np.arange(count) + 0.5
+    polar, azimuth = np.arccos(1 - 2 * k / count), np.pi * (1 + 5**0.5) * k  # Fibonacci's lattice
+    drive = np.stack([np.cos(azimuth) * np.sin(polar), np.cos(polar), np.sin(azimuth) * np.sin(polar)], axis=1)
+    offsets = np.random.default_rng(seed).uniform(-4, 4, drive.shape)
+    return LIGHT_MM * drive + offsets, drive
+
+
+def near_ball(
+    lights: Array, drive: Array, *, size: int = 96, radius_mm: float = 80.0, camera_mm: float = 890.0
+) -> tuple[dict[str, Array], Array, Array, dict[str, Any]]:
+    """A white ball at the origin under near point lights, as a pinhole camera at (0, 0, camera_mm) sees it.
+
+    Returns:
+        pictures by illumination (STATIC), 0 off the ball; normals (xyz, y, x); depth (camera z, mm, NaN off the
+        ball); the camera item's values.
+    """
+    focal = 0.42 * size * camera_mm / radius_mm
+    middle = (size - 1) / 2
+    y, x = np.mgrid[0:size, 0:size]
+    rays = np.stack([(x - middle) / focal, -(y - middle) / focal, -np.ones((size, size))])
+    towards, square = -camera_mm * rays[2], np.einsum("ayx,ayx->yx", rays, rays)
+    root = towards**2 - square * (camera_mm**2 - radius_mm**2)
+    mask = root > 0
+    depth = np.where(mask, (towards - np.sqrt(np.maximum(root, 0))) / square, np.nan)
+    points = np.array([0, 0, camera_mm])[:, None, None] + depth * rays
+    normals = points / radius_mm
+    pictures = {name: np.zeros((size, size)) for name in STATIC}
+    for place, ideal in zip(lights, drive, strict=True):
+        way = place[:, None, None] - points
+        distance = np.linalg.norm(way, axis=0)
+        shade = np.maximum(np.einsum("ayx,ayx->yx", normals, way) / distance, 0) * (LIGHT_MM / distance) ** 2
+        for name in STATIC:
+            share = 1.0
+            if name != "C":
+                share = (1 + (-1 if name.endswith("c") else 1) * ideal["XYZ".index(name[0])]) / 2
+            pictures[name] += share * np.where(mask, shade, 0)
+    camera = {
+        "size_px": [size, size],
+        "K": [[focal, 0, middle], [0, focal, middle], [0, 0, 1]],
+        "distortion": [0, 0, 0, 0, 0],
+        "world_to_camera": {"R": [[1, 0, 0], [0, -1, 0], [0, 0, -1]], "t_mm": [0, 0, camera_mm]},
+    }
+    return pictures, np.where(mask, normals, np.nan), depth, camera

@@ -12,6 +12,7 @@ import pytest
 import xarray
 
 from benchmarks.accuracy import angle, difference_without_noise, displacement, truth_of
+from store.document import load
 from tests.conftest import Answer, run_process
 
 pytestmark = [pytest.mark.data, pytest.mark.slow]
@@ -121,3 +122,70 @@ def test_performances_have_normals_at_their_tracking_frames(run: Run, data: Path
             truth /= np.linalg.norm(truth, axis=0) + 1e-30
             mask = cv2.erode(stored["mask"].astype(np.uint8), np.ones((3, 3))) > 0
             assert np.nanmedian(angle(opened.normal.values[i, 0], truth)[mask]) < 7
+
+
+NEAR_LIMITS = {
+    # capture: {(settings): (mean, median)}; what a trial of the method reached, see docs/methods/near-light.md
+    "rendered/static_sphere": {("correct=near",): (1.7, 1.6), ("correct=near", "filter=nlm"): (0.7, 0.6)},
+    "rendered/static_cylinder": {("correct=near",): (1.6, 1.5), ("correct=near", "filter=nlm"): (0.6, 0.5)},
+    "rendered/static_A": {
+        ("correct=near+shadows", "fuse=bands"): (4.1, 1.9),
+        ("correct=full", "fuse=bands"): (3.3, 1.6),
+        ("correct=full", "fuse=bands", "filter=nlm"): (3.0, 1.2),
+        ("correct=full", "fuse=bands", "method=minimal"): (4.1, 2.3),
+    },
+}
+
+
+@pytest.mark.parametrize("capture", NEAR_LIMITS)
+def test_near_light_normals_without_a_distance_given(run: Run, data: Path, capture: str) -> None:
+    for settings, (mean, median) in NEAR_LIMITS[capture].items():
+        path = run(capture, "normals", *(f"normals.{setting}" for setting in settings))
+        found = error(path, data / capture, 0.0)
+        assert np.nanmean(found) < mean, settings
+        assert np.nanmedian(found) < median, settings
+        assert np.isnan(found).mean() < 0.01, settings  # the found mask may miss a pixel of the eroded one
+
+
+def test_depth_of_the_head_comes_with_the_normals(run: Run, data: Path) -> None:
+    path = run("rendered/static_A", "normals", "normals.correct=full", "normals.fuse=bands")
+    opened = xarray.open_zarr(path, chunks=None)
+    truth = np.load(data / "rendered/static_A/truth/ground_truth_cam1.npz")
+    depth = opened.depth_mm.values[0]
+    known = np.isfinite(depth) & truth["mask"]
+    off = (depth - truth["depth_mm"])[known]
+    # 3 % of the depth range, the mean removed; the distance itself comes from the norm, to 3 mm here
+    assert np.abs(off - off.mean()).mean() < 0.03 * np.ptp(truth["depth_mm"][truth["mask"]])
+    assert abs(np.median(off)) < 4
+    assert opened.visibility.dims == ("tracking", "light", "y", "x")
+    assert float(opened.visibility.max()) == pytest.approx(1)
+
+
+def test_without_noise_the_near_model_leaves_less_than_a_tenth_of_a_degree(data: Path) -> None:
+    """Pictures summed from the noise-free one-light arrays, so nothing but the model and the depth can be wrong."""
+    from stages import near_light, self_consistent
+    from stages.pinhole import Pinhole
+
+    for name in ("static_sphere", "static_cylinder"):
+        folder = data / "rendered" / name
+        arrays = np.load(folder / "truth" / "olat_noisefree_cam1.npz")["D"].astype(np.float32)
+        items = {
+            kind: load(folder / "calibration" / f"{kind}.yaml", what="an item").value
+            for kind in ("lights", "camera")
+        }
+        for light in items["lights"]["lights"]:
+            light.setdefault("direction", None)
+        lights = near_light.Lights.of(items["lights"], near=True)
+        pictures = {"C": arrays.sum(axis=0)}
+        for i, axis in enumerate("XYZ"):
+            for suffix, sign in (("", 1), ("c", -1)):
+                weights = ((1 + sign * lights.drive[:, i]) / 2).astype(np.float32)
+                pictures[axis + suffix] = np.tensordot(weights, arrays, 1)
+        truth, mask = truth_of(folder)
+        camera = Pinhole.of(items["camera"], mask.shape)
+        measured = near_light.measure([pictures])
+        found = self_consistent.solve(measured, mask, camera, lights, model="near")
+        normal = np.full((*mask.shape, 3), np.nan)
+        points = camera.points(found.depth)[found.mask]
+        normal[found.mask] = near_light.invert(measured.vector[0][found.mask], points, lights).normal
+        assert np.nanmean(angle(normal.transpose(2, 0, 1), truth)[mask]) < 0.1, name

@@ -40,7 +40,8 @@ def test_whole_dimensions_come_last_and_block_dimensions_are_not_among_them(stag
     for name, output in stage.outputs.items():
         whole = [dim for dim in output.dims if dim in output.whole]
         assert list(output.dims[len(output.dims) - len(whole) :]) == whole, name
-        assert set(stage.blocks) <= set(output.dims), name
+        # what lacks a block dimension is made only where an arrangement names fewer
+        assert stage.blocks[0] in output.dims, name
         assert not set(stage.blocks) & set(whole), name
 
 

@@ -1,0 +1,51 @@
+"""Where the subject is: found in the constant picture when the capture brings no mask.
+
+A dilated mask hurts depth (background normals are noise), an eroded one hardly: so the mask is tight.
+"""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from dag.stage import StageError
+
+_LEAST_PART = 0.002
+_DIM = 0.02
+"""A subject is at least this part of its own brightness above the background."""
+
+
+def find_subject(constant: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """The largest bright thing: threshold against the background, largest component, holes filled.
+
+    Args:
+        constant: (y, x) radiance under constant light; NaN where not valid.
+
+    Raises:
+        StageError: nothing stands out.
+    """
+    known = np.isfinite(constant)
+    values = np.where(known, constant, 0).astype(np.float32)
+    smooth = cv2.GaussianBlur(values, (0, 0), 0.8)
+    bright = float(np.percentile(smooth, 99))
+    dark = smooth[smooth < 0.05 * bright]  # no background when the subject fills the picture
+    ground, noise = 0.0, 0.0
+    if dark.size > 100:
+        ground = float(np.median(dark))
+        noise = 1.4826 * float(np.median(np.abs(dark - ground)))
+    above = smooth > ground + max(6 * noise, _DIM * (bright - ground))
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(above.astype(np.uint8), connectivity=4)
+    if count < 2 or bright <= 0:
+        raise StageError("no subject stands out from the background; give the capture a mask")
+    largest = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
+    if stats[largest, cv2.CC_STAT_AREA] < _LEAST_PART * values.size:
+        raise StageError("no subject stands out from the background; give the capture a mask")
+    subject = labels == largest
+    outlines, _ = cv2.findContours(subject.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    filled = np.zeros(subject.shape, np.uint8)
+    cv2.drawContours(filled, outlines, -1, 1, cv2.FILLED)
+    return tight(filled > 0)
+
+
+def tight(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Without the two outermost pixels: the threshold lets in one that sees the background, or next to one."""
+    return np.asarray(cv2.erode(mask.astype(np.uint8), np.ones((3, 3), np.uint8), iterations=2) > 0)
