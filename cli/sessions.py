@@ -1,6 +1,7 @@
 """import, sessions, calibration: what comes into the store, and what is bound to what."""
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -45,7 +46,9 @@ def configure(commands: Any) -> None:
     use.set_defaults(handler=handle_use)
 
 
-def import_folder(folder: Path, store: Store, screen: Screen, name: str | None = None) -> "Imported":
+def import_folder(
+    folder: Path | Sequence[Path], store: Store, screen: Screen, name: str | None = None
+) -> "Imported":
     """Import, and say what came of it."""
     from store.importer import import_capture
 

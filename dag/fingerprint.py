@@ -55,6 +55,9 @@ NUMERIC: Mapping[str, str] = {
 }
 """Import name -> distribution, of the libraries that decide numbers."""
 
+_GEOMETRY = ("hw",)
+"""Packages beside the stages' own whose modules a stage may call: the rig's geometry."""
+
 _ANNOTATIONS = {"annotation", "returns", "type_comment", "type_params"}
 
 
@@ -119,9 +122,9 @@ def _closure(module: str, found: dict[str, str]) -> dict[str, str]:
     if module in found:
         return found
     found[module] = code_digest(_source(module).read_text(encoding="utf-8"))
-    package = module.split(".")[0]
+    ours = {module.split(".")[0], *_GEOMETRY}
     for imported in _imports(_parse(module), module):
-        if imported.split(".")[0] == package and imported != package:
+        if imported.split(".")[0] in ours and "." in imported:
             _closure(imported, found)
     return found
 
@@ -150,7 +153,7 @@ def _imports(tree: ast.AST, module: str) -> Iterable[str]:
 
 @functools.cache
 def _is_module(name: str, importer: str) -> bool:
-    if name.split(".")[0] != importer.split(".")[0]:
+    if name.split(".")[0] not in (importer.split(".")[0], *_GEOMETRY):
         return False
     try:
         return importlib.util.find_spec(name) is not None

@@ -114,6 +114,19 @@ Items = Mapping[str, Mapping[str, Any]]
 
 
 @dataclass(frozen=True)
+class Result:
+    """A result as `item` and `verdict` read it: one block's arrays."""
+
+    arrays: Mapping[str, Any]
+    labels: Mapping[str, Sequence[Any]]
+    attrs: Mapping[str, Any]
+    facts: Mapping[str, Any]
+    """The session's."""
+    items: Mapping[str, Mapping[str, Any]]
+    """Values of the items that are bound."""
+
+
+@dataclass(frozen=True)
 class Stage:
     """A node type.
 
@@ -145,6 +158,10 @@ class Stage:
     prepare: Callable[..., Mapping[str, Any]] | None = None
     prepared: tuple[str, ...] = ()
     """The names that `context` (or `prepare`, when there is one) gives to the kernel."""
+    item: Callable[[Result], Mapping[str, Any]] | None = None
+    """The calibration item that a result is; an entry that is an array (y, x) is one of its pictures."""
+    verdict: Callable[[Result], list[str]] | None = None
+    """What somebody who acts on the result should know, a sentence each."""
 
     @property
     def is_source(self) -> bool:

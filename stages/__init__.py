@@ -26,4 +26,20 @@ TABLE: Mapping[str, str] = {
     "split": "stages.split",
     "stack": "stages.stack",
     "normals": "stages.normals",
+    **{
+        name: f"stages.calibration.{name}"
+        for name in (
+            "outline",
+            "highlights",
+            "lights",
+            "corners",
+            "camera",
+            "homography",
+            "dark",
+            "flat",
+            "bands",
+            "synchronisation",
+            "polarisers",
+        )
+    },
 }

@@ -118,6 +118,8 @@ class DarkItem(_Item):
 
     item: Literal["dark"]
     images: dict[str, str] = Field(min_length=1, description="camera: picture")
+    exposure_s: float | None = Field(None, gt=0, description="that it was taken with")
+    hot_px: dict[str, tuple[tuple[int, int], ...]] | None = Field(None, description="camera: x, y of hot pixels")
     scale: float = Field(1.0, gt=0, description="stored value = counts x scale")
 
 
@@ -128,6 +130,7 @@ class FlatItem(_Item):
     images: dict[str, str] = Field(min_length=1, description="camera: picture")
     scale: float = Field(1.0, gt=0, description="stored value = counts x scale")
     dark_included: bool = Field(False, description="true if the dark is still in it")
+    dead_px: dict[str, tuple[tuple[int, int], ...]] | None = Field(None, description="camera: x, y, filled in here")
 
 
 class Band(_Item):
@@ -148,6 +151,21 @@ class BandsItem(_Item):
     bands: tuple[Band, ...] = Field(min_length=1)
 
 
+class LightPolariser(_Item):
+    """One light's polariser."""
+
+    id: str
+    angle_deg: float = Field(ge=0, lt=180, description="setting for the least cross-polarised highlight")
+    residual: float = Field(ge=0, description="what then remains, of the most that any setting gives")
+
+
+class PolarisersItem(_Item):
+    """How the lights' polarisers are turned."""
+
+    item: Literal["polarisers"]
+    lights: tuple[LightPolariser, ...] = Field(min_length=1)
+
+
 KINDS: Mapping[str, type[_Item]] = {
     "camera": CameraItem,
     "homography": HomographyItem,
@@ -155,6 +173,7 @@ KINDS: Mapping[str, type[_Item]] = {
     "dark": DarkItem,
     "flat": FlatItem,
     "bands": BandsItem,
+    "polarisers": PolarisersItem,
 }
 
 

@@ -4,13 +4,14 @@
 description promises which file holds it and what it must look like.
 """
 
+import os
 import re
 import string
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
@@ -53,6 +54,9 @@ class Frame(_Part):
     illumination: str = Field(description="C, X, Y, Z, Xc, Yc, Zc, L and a light number, T0 to T3, or O")
     time_s: float | None = Field(None, description="seconds since the capture began")
     file: str | None = Field(None, description="the picture, when the template does not name it")
+    exposure_s: float | None = Field(None, gt=0, description="seconds; for linearity, darks and bands")
+    polariser_deg: float | None = Field(None, description="angle of the light's polariser, degrees")
+    part: int = Field(0, ge=0, description="place of the target, when it was moved between exposures")
 
     @model_validator(mode="after")
     def _known(self) -> "Frame":
@@ -69,6 +73,7 @@ class MirrorBall(_Part):
 
     kind: Literal["mirror_ball"]
     radius_mm: float | None = Field(None, gt=0)
+    material: Literal["metal", "dielectric"] | None = Field(None, description="a polariser ball is dielectric")
 
 
 class Checkerboard(_Part):
@@ -83,6 +88,7 @@ class Plain(_Part):
     """Nothing, or something uniform."""
 
     kind: Literal["dark", "flat", "white"]
+    reflectance: float | tuple[float, ...] | None = Field(None, description="of a white or grey target, or by band")
 
 
 Target = Annotated[MirrorBall | Checkerboard | Plain, Field(discriminator="kind")]
@@ -271,6 +277,61 @@ class Capture:
             picture = linear_from_srgb(picture)
         planes = picture[None] if picture.ndim == 2 else np.moveaxis(picture, 2, 0)
         return np.ascontiguousarray(planes, dtype=np.uint16)
+
+
+def read_captures(folders: Sequence[Path]) -> Capture:
+    """Several captures of one kind as one: their frames one after the other, `part` counted on.
+
+    Raises:
+        RequestError: one is wrong, or they differ in what a session has one of.
+    """
+    captures = [read_capture(folder) for folder in folders]
+    first = captures[0]
+    if len(captures) == 1:
+        return first
+    problems = [
+        f"{other.folder}: its {key} is not that of {first.folder}; captures that are measured together must agree in it"
+        for other in captures[1:]
+        for key in ("bits", "cameras", "mount", "bands_nm", "encoding", "colour", "rig", "target")
+        if getattr(other.description, key) != getattr(first.description, key)
+    ]
+    raise_all(problems)
+    root = Path(os.path.commonpath([capture.folder for capture in captures]))
+    frames: list[Frame] = []
+    parts = 0
+    for capture in captures:
+        d = capture.description
+        inside = capture.folder.relative_to(root).as_posix()
+        for i, frame in enumerate(d.frames):
+            name = _with_band_and_camera(frame.file or d.files or "", frame=i, illumination=frame.illumination)
+            frames.append(frame.model_copy(update={"file": f"{inside}/{name}", "part": parts + frame.part}))
+        parts = 1 + max(frame.part for frame in frames)
+    items = next((c for c in captures if c.description.calibration is not None), first)
+    calibration = items.description.calibration
+    if calibration is not None:
+        calibration = (items.folder / calibration).relative_to(root).as_posix()
+    together = first.description.model_copy(
+        update={
+            "session": ".".join(dict.fromkeys(capture.description.session for capture in captures))[:100],
+            "files": None,
+            "frames": tuple(frames),
+            "calibration": calibration,
+            "mask": None,
+        }
+    )
+    return Capture(root, together)
+
+
+def _with_band_and_camera(template: str, **known: Any) -> str:
+    """A template with the parts that are known filled in, and the others left."""
+    out = []
+    for text, name, spec, _ in string.Formatter().parse(template):
+        out.append(text.replace("{", "{{").replace("}", "}}"))
+        if name in known:
+            out.append(format(known[name], spec or ""))
+        elif name is not None:
+            out.append("{" + name + (":" + spec if spec else "") + "}")
+    return "".join(out)
 
 
 def read_capture(folder: Path) -> Capture:

@@ -5,7 +5,7 @@ changed are not decoded again.
 """
 
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from dataclasses import replace as changed
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from store.calibration import Item, StoredPicture, get_item, items_in, put_item
-from store.capture import SESSION_NAME, Capture, PictureFile, read_capture
+from store.capture import SESSION_NAME, Capture, PictureFile, read_captures
 from store.chunks import ChunkRef, Chunks, Staging
 from store.digest import digest_bytes
 from store.errors import DamagedFileError, RequestError, raise_all
@@ -47,9 +47,9 @@ class _ReadPicture:
 
 
 def import_capture(
-    folder: Path, store: Store, *, name: str | None = None, progress: Progress | None = None
+    folder: Path | Sequence[Path], store: Store, *, name: str | None = None, progress: Progress | None = None
 ) -> Imported:
-    """Bring a capture folder into the store, or update the session that came from it.
+    """Bring a capture folder into the store, or update the session that came from it. Several become one session.
 
     Everything is read and checked before the session appears or changes. Unchanged files (by their bytes) are
     not decoded again.
@@ -57,7 +57,7 @@ def import_capture(
     Raises:
         RequestError: anything in the folder is wrong; every problem is listed.
     """
-    capture = read_capture(folder)
+    capture = read_captures([folder] if isinstance(folder, Path) else folder)
     session_name = capture.description.session if name is None else name
     if not SESSION_NAME.fullmatch(session_name) or len(session_name) > 100:
         raise RequestError(
@@ -172,7 +172,12 @@ def _facts(capture: Capture) -> dict[str, Any]:
             k: [float(v)] * len(d.bands_nm) if isinstance(v, int | float) else [float(x) for x in v]
             for k, v in d.intensities.items()
         },
-        "target": None if d.target is None else d.target.model_dump(mode="json"),
+        "target": None if d.target is None else d.target.model_dump(mode="json", exclude_none=True),
+        **{
+            key: [getattr(frame, key) for frame in d.frames]
+            for key in ("exposure_s", "polariser_deg", "part")
+            if any(getattr(frame, key) for frame in d.frames)
+        },
     }
 
 
