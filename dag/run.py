@@ -237,12 +237,19 @@ def _store(root: Path) -> Store:
     return _stores[root]
 
 
+_limited: list[Any] = []
+
+
 def _single_threaded_libraries() -> None:
-    """Dask has the threads: OpenCV's would multiply with them, and its results may differ with their number."""
+    """Dask has the threads: those of OpenCV and BLAS would multiply with them, and decide results' last bits."""
     import cv2
+    from threadpoolctl import threadpool_limits
 
     if cv2.getNumThreads() != 1:
         cv2.setNumThreads(1)
+    if not _limited:
+        # a sum over two threads ends in other bits than over one, and the environment may ask for two
+        _limited.append(threadpool_limits(1))
 
 
 def run(

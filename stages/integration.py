@@ -5,8 +5,8 @@ A plane through the point z r with normal n gives for the neighbour's ray r' (ra
     (n . r) (L' - L) = -n . (r' - r),        L = log z
 
 one equation per pixel and side (left, right, up, down), so the depth is known up to one factor. Where the
-surface breaks, one of the two sides is wrong: bilateral weights let the side win whose equation the present
-depth fulfils (Cao et al. 2022, doi:10.1007/978-3-031-19769-7_32), found by reweighted least squares. Each
+surface breaks, one of the two sides is wrong: bilateral weights let the side win towards which the present
+depth changes less (Cao et al. 2022, doi:10.1007/978-3-031-19769-7_32), found by reweighted least squares. Each
 system is solved by conjugate gradients on scipy.sparse, preconditioned with pyamg's classical multigrid.
 
 Limits: parts of the mask that do not touch have an unknown ratio of depths; they keep that of `start`.
@@ -57,7 +57,7 @@ def integrate(
     facing = np.minimum(np.einsum("ij,ij->i", n, rays[mask]), -_GRAZING)
     sides = [_side(n, facing, mask, rays, step) for step in ((0, 1), (0, -1), (1, 0), (-1, 0))]
     z = np.zeros(n.shape[0]) if start is None else np.where(np.isfinite(start), start, 0)[mask]
-    pixel = float(np.median(np.hypot(*np.moveaxis(np.diff(rays, axis=1)[..., :2], -1, 0))))
+    pixel = _pixel(rays)
     weights = [np.full(n.shape[0], 0.5)] * 4
     before = np.inf
     for _ in range(max(1, rounds)):
@@ -72,6 +72,14 @@ def integrate(
         weights = [right_wins, 1 - right_wins, down_wins, 1 - down_wins]
     out[mask] = z - z.mean()
     return out
+
+
+def _pixel(rays: Array) -> float:
+    """Usual step between the rays of neighbours."""
+    for axis in (1, 0):
+        if rays.shape[axis] > 1:
+            return float(np.median(np.linalg.norm(np.diff(rays, axis=axis)[..., :2], axis=-1)))
+    return 1.0
 
 
 def _better(advantage: Array, stiffness: float) -> Array:

@@ -7,11 +7,14 @@ constant light,
     q = m / r_c = (P + a P1) / (S + a S1)  =  P/S + a * slope + O(a^2)
 
 so over the bands q is nearly a line in the albedo, and its value at albedo 0 is free of bounced light. The
-albedo need not be absolute: only the line's end at zero counts. The slope varies slowly over the surface; it is
-fitted over a neighbourhood of about 3 px (three bands or more). We know of no earlier use of it.
+albedo need not be absolute, but bands must compare: only the line's end at zero counts. The slope varies slowly
+over the surface; it is fitted over a wide neighbourhood, and then over about 3 px as far as the noise allows: both
+fits shrink (to none, and to the wide one), so that bands of one albedo, which tell nothing, change nothing. Three
+bands or more. We know of no earlier use of it.
 
 **Radiosity.** With one band the bounce is computed: tiles of the depth map as Lambertian patches, their form
-factors with occlusion, and the series of bounces (Goral et al. 1984, doi:10.1145/964965.808601). This needs the
+factors with occlusion (lens distortion is neglected), and the series of bounces (Goral et al. 1984,
+doi:10.1145/964965.808601). This needs the
 albedo itself; radiance 1 is a white surface facing one light at the lights' mean distance.
 """
 
@@ -27,7 +30,12 @@ from stages.visibility import in_parts
 
 Array = NDArray[np.float64]
 
-_SLOPE_PX, _ALBEDO_PX = 3.0, 6.0
+_SLOPE_PX, _WIDE_PX, _ALBEDO_PX = 3.0, 12.0, 6.0
+_WIDE_PRIOR, _LOCAL_PRIOR = 0.05, 0.03
+"""One sigma of what bounced light does to a component of q: overall, and here against around. On a face it does
+0.02 to 0.1."""
+_LEVER = 0.1
+"""Relative spread of the albedo over the bands from which the line counts in full."""
 _TILES = 1400
 """Aim for the number of tiles: their form factors are its square."""
 _BOUNCES = 6
@@ -35,7 +43,7 @@ _LARGEST_ALBEDO = 0.95
 
 
 def without_bounces(
-    ratio: Array, weight: Array, constant: Array, direct: Array, mask: NDArray[np.bool_]
+    ratio: NDArray[Any], weight: NDArray[Any], constant: NDArray[Any], direct: Array, mask: NDArray[np.bool_]
 ) -> tuple[Array, Array]:
     """Ratio vectors extrapolated to albedo zero.
 
@@ -57,9 +65,20 @@ def without_bounces(
     middle = (weight[..., None] * ratio).sum(axis=0) / total[..., None]
     up = ((weight * centred)[..., None] * (ratio - middle)).sum(axis=0)
     down = (weight * centred**2).sum(axis=0)
-    slope = np.stack([_blur(up[..., i], inside, _SLOPE_PX) for i in range(3)], axis=-1)
-    slope /= np.maximum(_blur(down, inside, _SLOPE_PX), 1e-30)[..., None]
-    return slope, albedo
+    usual = np.maximum((weight * albedo).sum(axis=0) / total, 1e-9)
+    lever = np.sqrt(_mean(down / total, inside, _WIDE_PX)) / usual
+    # from a short lever the line's end at zero is a guess: the noise of r_c, which is in q and in a, draws the line
+    trust = np.clip((lever / _LEVER) ** 2, 1e-6, 1) / usual
+    wide = _shrunk(up, down, inside, _WIDE_PX, _WIDE_PRIOR * trust)
+    return wide + _shrunk(up - down[..., None] * wide, down, inside, _SLOPE_PX, _LOCAL_PRIOR * trust), albedo
+
+
+def _shrunk(up: Array, down: Array, inside: NDArray[np.float32], sigma: float, prior: Array) -> Array:
+    """Slope over a neighbourhood, with a Gaussian prior: one over `down` summed there is its variance."""
+    pixels = 4 * np.pi * sigma**2  # that a Gaussian window averages
+    ridge = 1 / (pixels * prior**2)
+    top = np.stack([_blur(up[..., i], inside, sigma) for i in range(3)], axis=-1)
+    return np.asarray(top / (_blur(down, inside, sigma) + ridge)[..., None])
 
 
 def _blur(values: Array, inside: NDArray[np.float32], sigma: float) -> Array:
@@ -95,7 +114,7 @@ class Tiles:
         view /= np.linalg.norm(view, axis=2, keepdims=True)
         facing = np.maximum(-np.einsum("yxi,yxi->yx", normal, view), 0.15)
         ahead = 1 / np.linalg.norm(camera.rays, axis=2)  # cosine to the axis
-        area = (depth / camera.focal) ** 2 / facing / ahead
+        area = depth**2 / (camera.intrinsics[0] * camera.intrinsics[1]) / facing * ahead
         centres, turned = self.mean(points), self.mean(normal)
         turned /= np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-9)
         self._factors = np.zeros((len(centres),) * 2, np.float32)

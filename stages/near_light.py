@@ -35,11 +35,11 @@ Array = NDArray[np.float64]
 class Measured:
     """The four numbers that a set of gradients tells of each point, by band."""
 
-    vector: Array
+    vector: NDArray[np.floating]
     """(band, y, x, xyz): m, radiance; 0 where not valid."""
-    constant: Array
+    constant: NDArray[np.floating]
     """(band, y, x): r_c, radiance; 0 where not valid."""
-    weight: Array
+    weight: NDArray[np.floating]
     """(band, y, x): one over the variance of a component of m / r_c; 0 where not valid."""
 
     def ratio(self) -> Array:
@@ -55,7 +55,7 @@ class Measured:
         return Measured(vector, binned(self.constant, factor) / known, weight)
 
 
-def binned(values: Array, factor: int) -> Array:
+def binned(values: NDArray[Any], factor: int) -> Array:
     """Means over squares of `factor` x `factor` pixels in the last two dimensions."""
     rows, columns = values.shape[-2] // factor, values.shape[-1] // factor
     cut = values[..., : rows * factor, : columns * factor]
@@ -78,8 +78,9 @@ def measure(bands: Sequence[Mapping[str, NDArray[np.float32]]]) -> Measured:
 
 def _measure_band(pictures: Mapping[str, NDArray[np.float32]]) -> tuple[Array, Array, Array]:
     alpha, beta = noise_model(pictures)
-    alpha = max(alpha, 1e-12)
     known = np.isfinite(sum(pictures.values(), np.float32(0)))
+    brightest = max(float(np.max(np.where(known, p, 0), initial=0)) for p in pictures.values())
+    alpha = max(alpha, 1e-10 * brightest**2, 1e-30)
 
     def precision(name: str) -> Array:
         # smoothed, so that a pixel's own noise does not choose its weight
@@ -106,7 +107,8 @@ def _measure_band(pictures: Mapping[str, NDArray[np.float32]]) -> tuple[Array, A
     valid = known & (constant > 0) & (np.einsum("yxi,yxi->yx", vector, vector) > 0)
     level = np.maximum(cv2.GaussianBlur(np.where(valid, constant, 0), (0, 0), 1.5), 1e-12)
     weight = np.where(valid, level**2 / (2 * alpha + beta * level), 0)
-    return np.where(valid[..., None], vector, 0), np.where(valid, constant, 0), weight
+    kept = (np.where(valid[..., None], vector, 0), np.where(valid, constant, 0), weight)
+    return tuple(np.asarray(part, np.float32) for part in kept)  # type: ignore[return-value]
 
 
 @dataclass(frozen=True)
@@ -143,16 +145,26 @@ class Lights:
                 f"the lights item gives {without[0]} a direction only; near-light models need position_mm "
                 "(correct: lights works with directions)"
             )
+        lengths = [np.linalg.norm(row["position_mm"]) for row in rows if row["position_mm"] is not None]
+        usual = float(np.mean(lengths)) if lengths else 1.0
         places = np.array(
-            [row["position_mm"] if row["position_mm"] is not None else row["direction"] for row in rows], float
+            [
+                row["position_mm"]
+                if row["position_mm"] is not None
+                # distant: as bright as a light at the usual distance
+                else usual * np.asarray(row["direction"]) / np.linalg.norm(row["direction"])
+                for row in rows
+            ],
+            float,
         )
         drive = np.array(
             [
-                row["drive_position"] if row["drive_position"] is not None else place / np.linalg.norm(place)
+                row["drive_position"] if row["drive_position"] is not None else place
                 for row, place in zip(rows, places, strict=True)
             ],
             float,
         )
+        drive /= np.linalg.norm(drive, axis=1, keepdims=True)
         if np.linalg.matrix_rank(drive, tol=1e-3) < 3:
             raise StageError("the lights lie in one plane; gradients need lights all around")
         return cls(places, drive, np.array([row["power"] for row in rows], float))
@@ -226,6 +238,7 @@ def _invert(
         u0, u1, u2 = vector[i, 0] / length, vector[i, 1] / length, vector[i, 2] / length
         n0, n1, n2 = u0, u1, u2
         b0, b1, b2 = n0, n1, n2
+        t0, t1, t2 = n0, n1, n2
         best, step = 1e9, 1.0
         for _ in range(_STEPS):
             m = np.zeros((3, 3))
@@ -244,9 +257,14 @@ def _invert(
             if miss < best:
                 best, b0, b1, b2 = miss, n0, n1, n2
             else:
-                step *= 0.5  # another set of lights made it worse: go less far
+                step *= 0.5  # another set of lights made it worse: go less far, the same way
+                n0, n1, n2 = b0 + step * (t0 - b0), b1 + step * (t1 - b1), b2 + step * (t2 - b2)
+                size = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
+                n0, n1, n2 = n0 / size, n1 / size, n2 / size
+                continue
             if best < 1e-14:
                 break
+            step = 1.0
             # m^-1 u by cofactors
             c00 = m[1, 1] * m[2, 2] - m[1, 2] * m[2, 1]
             c01 = m[1, 2] * m[2, 0] - m[1, 0] * m[2, 2]
@@ -264,9 +282,8 @@ def _invert(
             size = np.sqrt(q0 * q0 + q1 * q1 + q2 * q2)
             if not size > 0:
                 break
-            n0, n1, n2 = b0 + step * (q0 / size - b0), b1 + step * (q1 / size - b1), b2 + step * (q2 / size - b2)
-            size = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
-            n0, n1, n2 = n0 / size, n1 / size, n2 / size
+            n0, n1, n2 = q0 / size, q1 / size, q2 / size
+            t0, t1, t2 = n0, n1, n2
         normal[i, 0], normal[i, 1], normal[i, 2] = b0, b1, b2
         total = 0.0
         predicted[i] = 0.0

@@ -53,6 +53,8 @@ def non_local_means(normal: Array, spread: Array, mask: NDArray[np.bool_]) -> Ar
         for dx in range(-_RADIUS_PX, _RADIUS_PX + 1):
             if (dy == 0 and dx <= 0) or dy * dy + dx * dx > _RADIUS_PX**2:
                 continue  # each pair of pixels once
+            if dy >= rows or abs(dx) >= columns:
+                continue
             here = slice(0, rows - dy), slice(max(0, -dx), columns - max(0, dx))
             there = slice(dy, rows), slice(max(0, dx), columns - max(0, -dx))
             both = inside[here] * inside[there]

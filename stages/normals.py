@@ -211,7 +211,8 @@ def quantised(normal: NDArray[np.floating]) -> NDArray[np.int16]:
 class Rig(NamedTuple):
     """What the corrections know of the rig and the subject."""
 
-    camera: Pinhole
+    camera: Pinhole | None
+    """None where lights are taken as distant."""
     lights: near_light.Lights
     mask: NDArray[np.bool_] | None
     """(y, x); None: to be found in the pictures."""
@@ -225,6 +226,9 @@ def _with_rig(
     shape = measured.constant.shape[1:]
     if model == "lights":
         return _read_out(measured, None, np.zeros((*shape, 3)), rig, as_one=as_one, filtered=filtered)
+    assert rig.camera is not None
+    if not (measured.weight > 0).any():
+        raise StageError("no pixel is measured in all pictures of the set: they are black, or saturated")
     mask = rig.mask if rig.mask is not None else find_subject(measured.constant.mean(axis=0))
     found = self_consistent.solve(measured, mask, rig.camera, rig.lights, model=model)
     points = rig.camera.points(found.depth)
@@ -243,11 +247,14 @@ def _read_out(
     """The kernel's outputs from what the rounds found; without it, lights are distant."""
     mask = measured.weight.sum(axis=0) > 0 if found is None else found.mask
     at, seen = points[mask], None if found is None else found.seen
-    fused = near_light.fused(measured)
+    albedo = measured.constant
     irradiance = np.full(mask.shape, np.nan)
-    irradiance[mask] = near_light.invert(fused.vector[0][mask], at, rig.lights, seen).direct
+    one = near_light.fused(measured)
+    irradiance[mask] = near_light.invert(one.vector[0][mask], at, rig.lights, seen).direct
     if found is not None:
         measured = found.without_bounces(measured, np.where(mask, irradiance, 1.0))
+        one = near_light.fused(measured)
+        irradiance[mask] = near_light.invert(one.vector[0][mask], at, rig.lights, seen).direct
     norms = np.linalg.norm(measured.vector, axis=3) / (2 * np.maximum(measured.constant, 1e-30))
     wanted = near_light.fused(measured) if as_one else measured
     normals_, valids = [], []
@@ -261,7 +268,7 @@ def _read_out(
             normal = non_local_means(normal, np.where(valid, 1 / np.sqrt(np.maximum(weight, 1e-30)), 0), valid)
         normals_.append(quantised(normal))
         valids.append(valid & np.isfinite(normal).all(axis=2))
-    albedo, norm = measured.constant, norms
+    norm = norms
     if as_one:
         total = np.maximum(measured.weight.sum(axis=0), 1e-30)
         albedo, norm = (((measured.weight * a).sum(axis=0) / total)[None] for a in (albedo, norm))
@@ -392,16 +399,22 @@ def _context(
 
 def _rig_of(facts: Mapping[str, Any], items: Items, model: str) -> Mapping[str, Any]:
     """The part of camera and lights that a model of the rig reads, and the capture's mask."""
-    missing = [kind for kind in ("lights", "camera") if kind not in items]
+    near = model != "lights"
+    missing = [kind for kind in ("lights", "camera") if kind not in items and (near or kind == "lights")]
     if missing:
         raise StageError(
             f"correct: {model} needs the {' and the '.join(missing)} item; bind one with "
             "`lightstage calibration use FILE --session S`, or measure it with `lightstage calibrate`"
         )
+    if model == "full" and "bands" not in items:
+        raise StageError(
+            "correct: full needs the bands item: bounced light is told by the albedo, so radiance must compare "
+            "between bands; measure one with `lightstage calibrate bands`, or set correct: near+shadows"
+        )
     fields = ("id", "position_mm", "direction", "drive_position", "power")
-    near = model != "lights"
+    lens = ("size_px", "K", "distortion", "world_to_camera")
     return {
-        "camera": {name: items["camera"][name] for name in ("size_px", "K", "distortion", "world_to_camera")},
+        "camera": {name: items["camera"][name] for name in lens} if near else None,
         "lights": {"lights": [{k: light[k] for k in fields} for light in items["lights"]["lights"]]},
         "near": near,
         "mask": facts["mask"] if near else None,
@@ -423,7 +436,7 @@ def _prepare(
     if rig is not None:
         mask = None if rig["mask"] is None else np.asarray(rig["mask"].load()) > 0
         known = Rig(
-            Pinhole.of(rig["camera"], (int(shape[0]), int(shape[1]))),
+            None if rig["camera"] is None else Pinhole.of(rig["camera"], (int(shape[0]), int(shape[1]))),
             near_light.Lights.of(rig["lights"], near=rig["near"]),
             mask,
         )
@@ -589,7 +602,11 @@ STAGE = Stage(
         "visibility": Output(
             ("tracking", "light", "y", "x"),
             "uint8",
-            attrs={"scale_factor": 1 / VISIBILITY_STEPS, "units": "1"},
+            attrs={
+                "scale_factor": 1 / VISIBILITY_STEPS,
+                "units": "1",
+                "long_name": "part of a light that is seen; 0 off the mask",
+            },
         ),
     },
     blocks=("tracking", "band"),

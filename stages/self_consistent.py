@@ -35,6 +35,8 @@ Mask = NDArray[np.bool_]
 ROUNDS = {"near": 3, "near+shadows": 5, "full": 6}
 _COARSE_PX = 420
 """Larger pictures are binned to about this width for the rounds; the last round is at full size."""
+_LEAST_PART_PX = 400
+"""A part of the mask of its own has so many pixels, or its norm is too noisy to tell a distance."""
 _OPEN = 0.98
 """A point is open when this much of its light reaches it."""
 _SPECTRAL_BANDS = 3
@@ -142,28 +144,58 @@ def _with_bounces(
 def _placed(
     found: Geometry, log_depth: Array, one: Measured, normal: Array, camera: Pinhole, lights: Lights
 ) -> Geometry:
-    """The depth map at the distance at which |m| / r_c is what the model predicts."""
+    """The depth map at the distance at which |m| / r_c is what the model predicts.
+
+    Parts of the mask that do not touch have a distance each; small ones keep their place beside the largest.
+    """
     mask = found.mask
-    shape = np.exp(log_depth - np.nanmedian(log_depth[mask]))
     centre = float(camera.to_camera(np.zeros(3))[2])
-    guess = found.distance_mm or centre
-    some = np.zeros(mask.shape, np.bool_)
-    some[::2, ::2] = mask[::2, ::2]
-    points = camera.points(shape * guess)[some]
-    seen = visible(points, shape * guess, camera, lights.position)
+    _, parts, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
+    order = 1 + np.argsort(-stats[1:, cv2.CC_STAT_AREA], kind="stable")
+    shape = np.exp(log_depth - np.nanmedian(log_depth[parts == order[0]]))
+    depth = np.full(mask.shape, np.nan)
+    told = False
+    first = guess = found.distance_mm or centre
+    for k, part in enumerate(order):
+        here = parts == part
+        distance, known = first, False
+        if k == 0 or here.sum() >= max(_LEAST_PART_PX, 0.02 * mask.sum()):
+            own = shape if k == 0 else shape / np.nanmedian(shape[here])
+            distance, known = _distance(here, own, one, camera, lights, guess, centre)
+            if k and known:
+                depth[here] = own[here] * distance
+                continue
+        if k == 0:
+            told = known
+            first = distance if known else centre
+        depth[here] = shape[here] * first
+    return replace(found, depth=depth, distance_mm=float(np.median(depth[mask])), distance_found=told)
+
+
+def _distance(
+    here: Mask, shape: Array, one: Measured, camera: Pinhole, lights: Lights, guess: float, centre: float
+) -> tuple[float, bool]:
+    """Where the norm's residual crosses zero for one part of the surface."""
+    some = np.zeros(here.shape, np.bool_)
+    some[::2, ::2] = here[::2, ::2]
+    if some.sum() < 16 or centre <= 0:
+        return guess, False
+    front = np.where(here, shape * guess, np.nan)
+    points = camera.points(front)[some]
+    seen = visible(points, front, camera, lights.position)
     vector, norm = one.vector[0][some], np.linalg.norm(one.vector[0][some], axis=1) / one.constant[0][some]
     # open points: shadows and bounced light would change the norm
-    open_ = invert(vector, points, lights, seen).direct / invert(vector, points, lights).direct
+    whole = invert(vector, points, lights).direct
+    open_ = invert(vector, points, lights, seen).direct / np.maximum(whole, 1e-12)
     chosen = open_ >= min(_OPEN, float(np.nanquantile(open_, 0.6)))
     rays = (camera.rays @ camera.rotation)[some] * shape[some][:, None]
     rays, vector, norm, seen = rays[chosen], vector[chosen], norm[chosen], seen[chosen]
 
     def residual(distance: float) -> float:
-        return float(np.nanmedian(norm / invert(vector, camera.centre + distance * rays, lights, seen).norm - 1))
+        predicted = invert(vector, camera.centre + distance * rays, lights, seen).norm
+        return float(np.nanmedian(norm / np.maximum(predicted, 1e-12) - 1))
 
-    distance, told = _root(residual, guess, 0.5 * centre, 1.5 * centre)
-    distance = distance if told else centre
-    return replace(found, depth=np.where(mask, shape * distance, np.nan), distance_mm=distance, distance_found=told)
+    return _root(residual, guess, 0.5 * centre, 1.5 * centre)
 
 
 def _root(residual: Any, guess: float, low: float, high: float) -> tuple[float, bool]:
@@ -191,8 +223,9 @@ def _at_full_size(
     coarse: Geometry, measured: Measured, mask: Mask, camera: Pinhole, lights: Lights, factor: int
 ) -> Geometry:
     """One more round at full size, from what the small pictures told of depth, shadows and bounced light."""
-    mask = mask & (measured.weight.sum(axis=0) > 0)
     spread = _Spread(coarse.mask, mask.shape, factor)
+    # what binning has lost, such as a strip of a pixel, has no depth to start from
+    mask = mask & (measured.weight.sum(axis=0) > 0) & spread.reached
     depth = spread(coarse.depth)
     seen = None
     if coarse.seen is not None:
@@ -219,8 +252,13 @@ def _at_full_size(
     normal = _filled(response.normal, one.vector[0][mask])
     start = np.where(mask, np.log(np.maximum(depth, 1.0)), np.nan)
     log_depth = integrate(_in_camera(normal, mask, camera), mask, camera.rays, start=start, rounds=3)
-    shape = np.exp(log_depth - np.nanmedian(log_depth[mask]))
-    return replace(found, depth=np.where(mask, shape * coarse.distance_mm, np.nan))
+    # each part of the mask stays where the small pictures have put it
+    _, parts = cv2.connectedComponents(mask.astype(np.uint8), connectivity=4)
+    fine = np.full(mask.shape, np.nan)
+    for part in range(1, int(parts.max()) + 1):
+        here = parts == part
+        fine[here] = np.exp(log_depth[here] + np.median(start[here] - log_depth[here]))
+    return replace(found, depth=fine)
 
 
 class _Spread:
@@ -232,6 +270,7 @@ class _Spread:
         self._where = ((x + 0.5) / factor - 0.5, (y + 0.5) / factor - 0.5)
         self._known = self._pull(cv2.GaussianBlur(self._inside, (0, 0), 1.5))
         self._sure = self._pull(self._inside)
+        self.reached = self._known > 1e-3
 
     def _pull(self, small: NDArray[Any]) -> NDArray[Any]:
         return np.asarray(cv2.remap(small, *self._where, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))

@@ -6,6 +6,7 @@ A dilated mask hurts depth (background normals are noise), an eroded one hardly:
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from skimage.filters import threshold_otsu
 
 from dag.stage import StageError
 
@@ -27,14 +28,22 @@ def find_subject(constant: NDArray[np.floating]) -> NDArray[np.bool_]:
     values = np.where(known, constant, 0).astype(np.float32)
     smooth = cv2.GaussianBlur(values, (0, 0), 0.8)
     bright = float(np.percentile(smooth, 99))
-    dark = smooth[smooth < 0.05 * bright]  # no background when the subject fills the picture
+    if not bright > 0:
+        raise StageError("no subject stands out from the background: the constant picture is black")
+    dark = smooth[smooth < 0.05 * bright]
     ground, noise = 0.0, 0.0
+    if dark.size <= 0.02 * smooth.size:
+        # a lit backdrop, or a subject that fills the picture: split by brightness (Otsu 1979)
+        split = float(threshold_otsu(smooth))
+        dark = smooth[smooth < split]
+        if float(np.median(dark)) > 0.3 * bright:
+            dark = dark[:0]  # two shades of the subject, no background
     if dark.size > 100:
         ground = float(np.median(dark))
         noise = 1.4826 * float(np.median(np.abs(dark - ground)))
     above = smooth > ground + max(6 * noise, _DIM * (bright - ground))
     count, labels, stats, _ = cv2.connectedComponentsWithStats(above.astype(np.uint8), connectivity=4)
-    if count < 2 or bright <= 0:
+    if count < 2:
         raise StageError("no subject stands out from the background; give the capture a mask")
     largest = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
     if stats[largest, cv2.CC_STAT_AREA] < _LEAST_PART * values.size:

@@ -290,7 +290,7 @@ def read_captures(folders: Sequence[Path]) -> Capture:
     if len(captures) == 1:
         return first
     problems = [
-        f"{other.folder}: its {key} is not that of {first.folder}; captures that are measured together must agree in it"
+        f"{other.folder}: its {key} is not that of {first.folder}; captures measured together must agree in it"
         for other in captures[1:]
         for key in ("bits", "cameras", "mount", "bands_nm", "encoding", "colour", "rig", "target")
         if getattr(other.description, key) != getattr(first.description, key)

@@ -167,7 +167,7 @@ def _verdict(result: Result) -> list[str]:
         scale, error = float(result.arrays["scale"][i]), float(result.arrays["scale_se"][i])
         uneven = float(result.arrays["unevenness"][i])
         said.append(
-            f"{nm:g} nm: {scale:.2f} +- {error:.2f} counts per unit reflectance; the target is uneven by {uneven:.1%}"
+            f"{nm:g} nm: {scale:.2f} +- {error:.2f} counts per unit reflectance, uneven by {uneven:.1%}"
             + (": light it more evenly" if uneven > 0.05 else "")
         )
     patches = result.arrays["patches"]
@@ -182,7 +182,7 @@ def _verdict(result: Result) -> list[str]:
             off = np.stack(errors, axis=1)
             worst = int(np.nanargmax(np.abs(off).max(axis=1)))
             said.append(
-                f"ColorChecker: reflectances are off by {float(np.sqrt(np.nanmean(off**2))):.4f} (root mean square), "
+                f"ColorChecker: off by {float(np.sqrt(np.nanmean(off**2))):.4f} in reflectance (root mean square), "
                 f"most at {color_checker.NAMES[worst]} ({float(np.abs(off[worst]).max()):.3f})"
             )
     if "dark" not in result.items:

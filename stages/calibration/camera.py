@@ -113,7 +113,7 @@ def _verdict(result: Result) -> list[str]:
     names = list(result.labels["parameter"])
     pictures = result.arrays["residual"].shape[0]
     said = [
-        f"f = {matrix[0, 0]:.1f} +- {deviation[0]:.1f} px, principal point ({matrix[0, 2]:.1f}, {matrix[1, 2]:.1f}) "
+        f"f = {matrix[0, 0]:.1f} +- {deviation[0]:.1f} px, centre ({matrix[0, 2]:.1f}, {matrix[1, 2]:.1f}) "
         f"from {pictures} picture(s); corners are off by {float(result.arrays['rms_px']):.3f} px (root mean square)"
     ]
     held = [name for name, fixed in zip(names, result.arrays["held"], strict=True) if fixed]
@@ -126,7 +126,7 @@ def _verdict(result: Result) -> list[str]:
         said.append(f"through the homography, the other camera has f = {other[0, 0]:.1f} px")
     if "camera" not in result.items:
         said.append(
-            "the pose is the nominal one: bind the camera item of the rig before, or correct world_to_camera by hand"
+            "the pose is the nominal one: bind the rig's camera item first, or correct world_to_camera by hand"
         )
     return said
 

@@ -16,10 +16,7 @@ from pydantic import Field
 
 from dag.stage import Arrangement, Grid, Group, Input, Items, Output, Params, Result, Stage, StageError
 from stages.calibration.defects import find_hot, moments
-from stages.calibration.session import frames_of
-
-SCALE = 16
-"""Stored value = counts x this: a mean of frames has fractions."""
+from stages.calibration.session import SCALE, frames_of, listed, stored
 
 
 class DarkParams(Params):
@@ -98,16 +95,6 @@ def _context(
     return {"white_level": facts["white_level"]}
 
 
-def listed(mask: NDArray[np.bool_]) -> list[list[int]]:
-    """(x, y) of a mask's pixels."""
-    return [[int(x), int(y)] for y, x in np.argwhere(mask)]
-
-
-def stored(counts: NDArray[Any]) -> NDArray[np.uint16]:
-    """Counts as an item's picture holds them."""
-    return np.clip(np.round(counts * SCALE), 0, 65535).astype(np.uint16)
-
-
 def _item(result: Result) -> Mapping[str, Any]:
     """The dark item."""
     names = [result.facts["cameras"][p] for p in result.labels["polarisation"]]
@@ -127,10 +114,12 @@ def _verdict(result: Result) -> list[str]:
     for i, polarisation in enumerate(result.labels["polarisation"]):
         noise = result.arrays["noise"][i]
         said.append(
-            f"{result.facts['cameras'][polarisation]}: dark {float(np.median(result.arrays['mean'][i])):.2f} counts, "
+            f"{result.facts['cameras'][polarisation]}: "
+            f"dark {float(np.median(result.arrays['mean'][i])):.2f} counts, "
             + (f"noise {float(np.sqrt(np.mean(noise**2))):.2f} counts, " if np.isfinite(noise).all() else "")
-            + f"{int(result.arrays['hot'][i].sum())} hot pixels (more than {float(result.arrays['threshold'][i]):.1f} "
-            f"counts above their neighbours), from {result.attrs['frames']} frames"
+            + f"{int(result.arrays['hot'][i].sum())} hot pixels "
+            f"(more than {float(result.arrays['threshold'][i]):.1f} counts above others), "
+            f"from {result.attrs['frames']} frames"
         )
     return said
 

@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dag.stage import Arrangement, Grid, Group, Input, Items, Needs, Output, Params, Result, Stage, StageError
-from stages.calibration.dark import SCALE, listed, stored
 from stages.calibration.defects import find_dead, find_hot, interpolate, moments
 from stages.calibration.sensor_response import fit_linearity, photon_transfer
-from stages.calibration.session import frames_of
+from stages.calibration.session import SCALE, frames_of, listed, stored
 
 _FULL = 0.95
 """A flat reaches at most this part of the range at its brightest 99.9 %."""

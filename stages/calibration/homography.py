@@ -138,8 +138,8 @@ def _verdict(result: Result) -> list[str]:
     said = []
     if parallax:
         said.append(
-            f"the boards disagree by {a['parallax_px']:.2f} px above the noise of {a['noise_px']:.3f} px: parallax; the "
-            "cameras' centres do not coincide, so the homography holds only near the boards' depth"
+            f"the boards disagree by {a['parallax_px']:.2f} px above the noise of {a['noise_px']:.3f} px: "
+            "parallax; the cameras' centres do not coincide, so the homography holds only near the boards' depth"
         )
     elif distorted:
         said.append(
@@ -148,14 +148,14 @@ def _verdict(result: Result) -> list[str]:
         )
     else:
         said.append(
-            f"the residuals are noise ({a['rms_px']:.3f} px; more than {MATTERS_PX:g} px of anything smooth would be "
-            f"said): one homography holds where the {boards} board(s) were"
+            f"the residuals are noise ({a['rms_px']:.3f} px; more than {MATTERS_PX:g} px of anything smooth would "
+            f"be said): one homography holds where the {boards} board(s) were"
         )
     if boards == 1:
         said.append("one board cannot show parallax: add one at another depth and tilt")
     said.append(
-        f"Sampson error {a['sampson_px']:.4f} px, geometric error {a['geometric_px']:.4f} px; expected error in the "
-        f"picture's corners up to {a['expected_px']:.3f} px"
+        f"Sampson error {a['sampson_px']:.4f} px, geometric error {a['geometric_px']:.4f} px; expected error in "
+        f"the picture's corners up to {a['expected_px']:.3f} px"
         + (": put boards nearer to the corners" if a["expected_px"] > 0.1 else "")
     )
     if a["mount_doubt"] < 1.5:

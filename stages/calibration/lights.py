@@ -276,8 +276,8 @@ def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: LightsPara
     if layout is None and params.layout == "auto" and len(numbers) > 12:
         short = min((10 * f * f + 1 for f in range(1, 17)), key=lambda n: abs(n - len(numbers)))
         raise StageError(
-            f"{len(numbers)} lights are named; a geodesic stage has {short} (or {short + 1}): a picture is missing, "
-            "or set layout: none for directions alone"
+            f"{len(numbers)} lights are named; a geodesic stage has {short} (or {short + 1}): a picture is "
+            "missing, or set layout: none for directions alone"
         )
     pieces: dict[str, list[dict[str, int]]] = {
         "raw": [{"frame": i, "band": 0, "polarisation": camera} for i in frames]

@@ -2,9 +2,9 @@
 
 With the right mount undone the cameras see nearly the same picture, so the corners nearly coincide, and the
 squares' colours agree. All eight ways to turn and mirror the first camera are tried with every order of the corners
-that keeps the colours; the one with the least distance is right. The lattice alone cannot tell a mirrored board from
-an upright one (the homography would be perfect, of the wrong picture), so the colours are what detects a forgotten
-mirror: the determinant of the map in the colours' order is negative.
+that keeps the colours; the one with the least distance is right. The lattice alone cannot tell a mirrored board
+from an upright one (the homography would be perfect, of the wrong picture), so the colours are what detects a
+forgotten mirror: the determinant of the map in the colours' order is negative.
 
     rows, columns (inner)    half a turn keeps the colours    a mirror keeps the colours
     both odd                 yes                              never: always detected

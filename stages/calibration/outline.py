@@ -44,7 +44,7 @@ def outline(
         by_hand: (point, xy) on the outline, pixels.
 
     Returns:
-        `conic` (row, column), `ring` (point, xy) as in the picture, `centre_px` (xy), `radius_px` () and `rms_px` ().
+        `conic` (row, column), `ring` (point, xy) as in the picture, `centre_px` (xy), `radius_px`, `rms_px` ().
 
     Raises:
         StageError: no ball, two balls, or a ball cut by the frame.

@@ -116,7 +116,7 @@ def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: Polarisers
     frames = [i for i in frames_of(raw, "L") if angles[i] is not None]
     if not frames:
         raise StageError(
-            "measuring the polarisers needs frames with polariser_deg: every light (L00 ...) at three angles or more"
+            "measuring the polarisers needs frames with polariser_deg: each light (L00 ...) at three angles or more"
         )
     if outline.sizes["part"] > 1 or any(parts(facts, len(names))[i] for i in frames):
         raise StageError("measuring the polarisers needs the ball at one place; measure each place by itself")

@@ -3,7 +3,13 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from dag.stage import Grid, StageError
+
+SCALE = 16
+"""Stored value = counts x this: a mean of frames has fractions."""
 
 
 def reference(raw: Grid) -> int:
@@ -54,3 +60,13 @@ def intrinsics(items: Mapping[str, Mapping[str, Any]], shape: Sequence[int]) -> 
     if (height, width) != tuple(shape):
         raise StageError(f"the camera item is for {width} x {height}; the pictures are {shape[1]} x {shape[0]}")
     return {name: camera[name] for name in ("K", "distortion", "world_to_camera")}
+
+
+def listed(mask: NDArray[np.bool_]) -> list[list[int]]:
+    """(x, y) of a mask's pixels."""
+    return [[int(x), int(y)] for y, x in np.argwhere(mask)]
+
+
+def stored(counts: NDArray[Any]) -> NDArray[np.uint16]:
+    """Counts as an item's picture holds them."""
+    return np.clip(np.round(counts * SCALE), 0, 65535).astype(np.uint16)

@@ -58,7 +58,9 @@ def synchronisation(
     ground = np.asarray(raw[count], np.float64)
     knobs: dict[str, Any] = {"dark": ground, "white": white_level, "radius_px": aperture_px}
     one_light, _ = highlight_sums(np.stack([np.asarray(raw[i]) for i in range(count)]), positions, **knobs)
-    sums, full = highlight_sums(np.stack([np.asarray(raw[i]) for i in range(count + 1, len(raw))]), positions, **knobs)
+    sums, full = highlight_sums(
+        np.stack([np.asarray(raw[i]) for i in range(count + 1, len(raw))]), positions, **knobs
+    )
     sums = np.where(full, np.nan, sums)
     spread = variance(
         sums, radius_px=aperture_px, electrons_per_count=electrons_per_count, read_noise_counts=read_noise_counts

@@ -14,7 +14,7 @@ from stages.normal_filter import noise_factor, non_local_means
 from stages.pinhole import Pinhole
 from stages.subject_mask import find_subject
 from stages.visibility import visible
-from tests.scenes import STATIC, angle_deg, light_places, near_ball
+from tests.scenes import LIGHT_MM, STATIC, angle_deg, light_places, near_ball
 
 
 def lights_of(positions: Any, drive: Any) -> Lights:
@@ -216,7 +216,7 @@ def test_the_spectral_line_ends_at_direct_light() -> None:
     free = (ratio - around[..., None] * slope).mean(axis=0)
     before = np.abs(ratio.mean(axis=0) - direct).max(axis=(0, 1))
     after = np.abs(free.mean(axis=(0, 1)) - direct[0, 0])
-    assert (after < 0.2 * before).all()
+    assert (after < 0.3 * before).all()
 
 
 def test_form_factors_of_two_facing_squares() -> None:
@@ -272,7 +272,7 @@ def test_the_subject_is_found_and_nothing_is_an_error() -> None:
     mask = find_subject(picture)
     assert mask[25:55, 35:65].all()
     assert not mask[:19].any()
-    with pytest.raises(StageError, match="give the capture a mask"):
+    with pytest.raises(StageError, match="no subject stands out"):
         find_subject(np.zeros((50, 50)))
 
 
@@ -314,3 +314,76 @@ def test_every_measured_band_counts_by_its_noise(ball: tuple[Any, ...]) -> None:
     assert np.median(measured.weight[0][mask] / measured.weight[1][mask]) == pytest.approx(100, rel=0.3)
     assert set(pictures) == set(STATIC)
     assert near_light.fused(measured).vector.shape == (1, 96, 96, 3)
+
+
+@pytest.mark.parametrize("albedos", [(0.6, 0.6, 0.6), (0.6,) * 6, (0.6, 0.61, 0.62)])
+def test_bands_of_one_albedo_tell_nothing_of_bounces_and_change_nothing(
+    ball: tuple[Any, ...], albedos: tuple[float, ...]
+) -> None:
+    """A white target: the line through its bands has no slope, only noise; `full` must not follow it."""
+    pictures, truth, depth, camera, lights = ball
+    generator = np.random.default_rng(0)
+    top = max(p.max() for p in pictures.values())
+    measured = measure(
+        [
+            {k: (a * v + generator.normal(0, 0.004 * top, v.shape)).astype(np.float32) for k, v in pictures.items()}
+            for a in albedos
+        ]
+    )
+    mask = np.isfinite(depth)
+    pinhole = Pinhole.of(camera, mask.shape)
+    inner = mask & (truth[2] > 0.2)
+    errors = {}
+    for model in ("near", "full"):
+        found = self_consistent.solve(measured, mask, pinhole, lights, model=model)
+        direct = np.ones(mask.shape)
+        one = near_light.fused(found.without_bounces(measured, direct))
+        normal = np.full((*mask.shape, 3), np.nan)
+        points = pinhole.points(found.depth)[found.mask]
+        normal[found.mask] = invert(one.vector[0][found.mask], points, lights, found.seen).normal
+        errors[model] = np.nanmean(angle_deg(normal[inner].T, truth[:, inner]))
+    # the noise of one map is 0.6 degrees; bands that differ by 1.5 % may add as much
+    assert errors["full"] < errors["near"] + 0.6
+
+
+def test_two_parts_of_a_subject_have_a_distance_each(ball: tuple[Any, ...]) -> None:
+    """A ball behind a bar: what is left and right of it touches nothing, and each part tells its own distance."""
+    pictures, truth, depth, camera, lights = ball
+    mask = np.isfinite(depth)
+    mask[:, 46:50] = False
+    pinhole = Pinhole.of(camera, mask.shape)
+    found = self_consistent.solve(read(pictures), mask, pinhole, lights, model="near")
+    for half in (np.s_[:, :46], np.s_[:, 50:]):
+        inside = mask[half] & (truth[2][half] > 0.3)
+        assert abs(np.median((found.depth - depth)[half][inside])) < 2
+
+
+def test_a_direction_counts_as_a_light_at_the_usual_distance() -> None:
+    drive = light_places()[1]
+    rows = [
+        {"id": f"L{k:02d}", "position_mm": list(p), "direction": None, "drive_position": list(d), "power": 1.0}
+        for k, (p, d) in enumerate(zip(LIGHT_MM * drive, drive, strict=True))
+    ]
+    turned = [dict(row) for row in rows]
+    turned[5] |= {"position_mm": None, "direction": list(3 * drive[5])}
+    one, two = Lights.of({"lights": rows}, near=False), Lights.of({"lights": turned}, near=False)
+    np.testing.assert_allclose(one.position, two.position, atol=1e-9)
+
+
+def test_small_pictures_do_not_crash_the_filter_or_the_integration() -> None:
+    normal = np.zeros((5, 100, 3))
+    normal[..., 2] = 1
+    assert non_local_means(normal, np.ones((5, 100)), np.ones((5, 100), bool)).shape == normal.shape
+    rays = np.dstack([np.zeros((40, 1)), np.linspace(-0.1, 0.1, 40)[:, None], np.ones((40, 1))])
+    flat = np.zeros((40, 1, 3))
+    flat[..., 2] = -1
+    assert np.ptp(integrate(flat, np.ones((40, 1), bool), rays)) < 1e-6
+
+
+def test_a_lit_backdrop_is_no_subject() -> None:
+    generator = np.random.default_rng(0)
+    picture = generator.normal(10, 1, (80, 100))
+    picture[20:60, 30:70] += 90
+    mask = find_subject(picture)
+    assert mask[25:55, 35:65].all()
+    assert mask.mean() < 0.25

@@ -170,6 +170,6 @@ def test_another_name_can_be_given(sphere: Path, store: Store) -> None:
 
 
 def test_items_of_unknown_kind_are_passed_over_with_a_word(sphere: Path, store: Store) -> None:
-    (sphere / "calibration" / "polarisers.yaml").write_text(yaml.safe_dump({"item": "polarisers", "angle": 3}))
+    (sphere / "calibration" / "turntable.yaml").write_text(yaml.safe_dump({"item": "turntable", "angle": 3}))
     done = import_capture(sphere, store)
-    assert any("polarisers" in warning for warning in done.warnings)
+    assert any("turntable" in warning for warning in done.warnings)
