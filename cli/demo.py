@@ -1,13 +1,27 @@
-"""demo: the virtual rig as a capture, imported with its ground truth beside it."""
+"""demo: the virtual rig as a capture, imported with its ground truth beside it; or a calibration target."""
 
 import argparse
 import re
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 from cli.show import Screen
 from store.errors import RequestError
 from store.files import link_or_copy
 from store.root import Store
+
+TARGETS = {
+    "ball": "lights",
+    "boards": "homography",
+    "dark": "dark",
+    "flat": "flat",
+    "exposures": "flat",
+    "white": "bands",
+    "sync": "synchronisation",
+    "polarisers": "polarisers",
+}
+"""Calibration targets of the virtual rig, and the item that each is for."""
 
 
 def configure(commands: Any) -> None:
@@ -24,6 +38,9 @@ def configure(commands: Any) -> None:
     demo.add_argument(
         "--seed", type=int, default=1, metavar="N", help="another head, skin, rig and noise; 0: the mean"
     )
+    demo.add_argument(
+        "--target", choices=TARGETS, help="capture a calibration target instead: a folder for `calibrate`"
+    )
     demo.set_defaults(handler=handle_demo)
 
 
@@ -36,6 +53,8 @@ def handle_demo(options: argparse.Namespace, screen: Screen) -> int:
     if not re.fullmatch(r"[0-9]+(,[0-9]+)*", options.bands):
         raise RequestError(f"--bands {options.bands}: expected wavelengths in nm, such as 434,576")
     bands = tuple(int(band) for band in options.bands.split(","))
+    if options.target:
+        return _target(options, store, screen, int(size[1]), int(size[2]), bands)
     name = demo_session(
         store,
         screen,
@@ -47,6 +66,44 @@ def handle_demo(options: argparse.Namespace, screen: Screen) -> int:
     )
     folder = store.sessions / name
     screen.document({"session": name, "raw": str(folder / "raw.zarr"), "truth": str(folder / "truth")})
+    return 0
+
+
+def _target(
+    options: argparse.Namespace, store: Store, screen: Screen, width: int, height: int, bands: tuple[int, ...]
+) -> int:
+    from hw import ball_targets, flat_targets
+    from hw.errors import RigError
+    from hw.virtual_rig import Shot
+
+    name = options.session if options.session != "demo" else f"demo-{options.target}"
+    folder = store.root / "captures" / f"{name}-{width}x{height}-{options.seed}"
+    try:
+        shot = Shot(
+            session=name,
+            width=width,
+            height=height,
+            seed=options.seed,
+            bands_nm=bands if options.target == "white" else (0,),
+        )
+        screen.say(f"the virtual rig captures: {options.target}")
+        capture: Mapping[str, Callable[..., Any]] = {
+            "ball": ball_targets.mirror_ball,
+            "boards": flat_targets.checkerboard,
+            "dark": flat_targets.uniform,
+            "flat": partial(flat_targets.uniform, kind="flat"),
+            "exposures": flat_targets.exposures,
+            "white": flat_targets.bands,
+            "sync": ball_targets.sync,
+            "polarisers": ball_targets.polarisers,
+        }
+        capture[options.target](shot, folder)
+    except RigError as error:
+        raise RequestError(str(error)) from None
+    item = TARGETS[options.target]
+    screen.say(f"capture: {folder}")
+    screen.say(f"`lightstage calibrate {item} --from {folder} --report` measures it")
+    screen.document({"capture": str(folder), "item": item, "truth": str(folder / "truth" / "truth.yaml")})
     return 0
 
 

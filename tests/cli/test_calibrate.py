@@ -338,3 +338,12 @@ def test_what_moved_since_the_last_calibration_is_told(lightstage: Command, boar
     told = next(line for line in verdict if line.startswith("CAM0 moved"))
     assert float(told.split()[2]) == pytest.approx(2, abs=0.2)
     assert told.endswith("since 2010-03-12")
+
+
+def test_the_demo_makes_every_target_and_calibrate_measures_it(lightstage: Command) -> None:
+    from cli.demo import TARGETS
+
+    for target in ("ball", "boards", "white"):
+        made = lightstage("demo", "--target", target, "--json").json
+        assert made["item"] == TARGETS[target]
+        measure(lightstage, made["item"], Path(made["capture"]))
