@@ -50,8 +50,10 @@ class NormalsParams(Params):
         description="qp: Dutta's correction, all seven pictures; lights: this rig's response inverted; near, "
         "near+shadows, full: with depth, shadows, bounced light estimated",
     )
-    filter: Literal["none", "nlm"] = Field(
-        "none", description="nlm: non-local means with the measured noise; costs some of the finest detail"
+    filter: Literal["none", "nlm", "surface"] = Field(
+        "none",
+        description="nlm: non-local means with the measured noise; surface: those of the integrated depth (with a "
+        "model that has one); both cost some of the finest detail",
     )
     component: Literal["diffuse", "specular"] = Field("diffuse", description="which light the pictures show")
     fuse: Literal["none", "bands"] = Field("none", description="bands: one map from all bands, weighted by noise")
@@ -168,7 +170,7 @@ def normals(
         rig: what the corrections of RIG_MODELS need.
         correct: none, qp, or one of RIG_MODELS.
         fuse: with a rig model, whether all bands give one map (bands) or one each (none).
-        filter: none or nlm.
+        filter: none, nlm or surface.
 
     Returns:
         `normal` (xyz, y, x) int16 in steps of 1 / STEPS; `albedo` and `norm` (y, x) float32, NaN where not
@@ -179,7 +181,7 @@ def normals(
     bands = len(radiance) // (count + int(diffuse_constant))
     if rig is not None:
         by_band = [{name: radiance[b * count + i] for i, name in enumerate(names)} for b in range(bands)]
-        return _with_rig(by_band, rig, model=correct, as_one=fuse == "bands", filtered=filter == "nlm")
+        return _with_rig(by_band, rig, model=correct, as_one=fuse == "bands", filtered=filter)
     groups = [[radiance[b * count + i] for i in range(count)] for b in range(bands)] if bands > 1 else None
     pictures: Sequence[NDArray[np.float32]] = fuse_bands(groups, names) if groups else _Head(radiance, count)
     if choice.method == "least_squares":
@@ -201,6 +203,25 @@ def normals(
     return {"normal": normal, "albedo": albedo, "norm": result.norm, "valid": result.valid}
 
 
+def surface_normals(points: NDArray[np.float64], mask: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Normals of a surface given as points (y, x, xyz), (y, x, xyz); NaN off the mask.
+
+    Differences to the neighbours on both sides, or on the one side that is in the mask.
+    """
+    known = np.where(mask[..., None], points, np.nan)
+    slopes = []
+    for axis in (1, 0):
+        step = np.diff(known, axis=axis)
+        edge = np.full_like(np.take(known, [0], axis=axis), np.nan)
+        both = np.stack([np.concatenate([step, edge], axis=axis), np.concatenate([edge, step], axis=axis)])
+        there = np.isfinite(both)
+        slopes.append(np.where(there, both, 0).sum(axis=0) / np.maximum(there.sum(axis=0), 1))
+    # x runs right, y down in the picture: their cross product points away from the camera
+    normal = np.cross(slopes[1], slopes[0])
+    length = np.linalg.norm(normal, axis=2, keepdims=True)
+    return np.asarray(np.where(mask[..., None] & (length > 0), normal / np.maximum(length, 1e-12), np.nan))
+
+
 def quantised(normal: NDArray[np.floating]) -> NDArray[np.int16]:
     """(y, x, xyz) unit vectors, NaN where there is none, as they are stored: (xyz, y, x) in steps of 1 / STEPS."""
     known = np.isfinite(normal).all(axis=2, keepdims=True)
@@ -219,7 +240,7 @@ class Rig(NamedTuple):
 
 
 def _with_rig(
-    bands: Sequence[Mapping[str, NDArray[np.float32]]], rig: Rig, *, model: str, as_one: bool, filtered: bool
+    bands: Sequence[Mapping[str, NDArray[np.float32]]], rig: Rig, *, model: str, as_one: bool, filtered: str
 ) -> Mapping[str, Any]:
     """Normals with a model of the rig's lights; see `normals`."""
     measured = near_light.measure(bands)
@@ -242,7 +263,7 @@ def _read_out(
     rig: Rig,
     *,
     as_one: bool,
-    filtered: bool,
+    filtered: str,
 ) -> Mapping[str, Any]:
     """The kernel's outputs from what the rounds found; without it, lights are distant."""
     mask = measured.weight.sum(axis=0) > 0 if found is None else found.mask
@@ -264,7 +285,9 @@ def _read_out(
         normal[valid] = near_light.invert(
             vector[valid], points[valid], rig.lights, None if seen is None else seen[valid[mask]]
         ).normal
-        if filtered:
+        if filtered == "surface":
+            normal = np.where(valid[..., None], surface_normals(points, mask), np.nan)
+        if filtered == "nlm":
             normal = non_local_means(normal, np.where(valid, 1 / np.sqrt(np.maximum(weight, 1e-30)), 0), valid)
         normals_.append(quantised(normal))
         valids.append(valid & np.isfinite(normal).all(axis=2))
@@ -506,6 +529,8 @@ def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: NormalsPar
     modelled = params.correct in RIG_MODELS
     if modelled and component == "specular":
         raise StageError(f"correct: {params.correct} is a model of diffuse light; set component: diffuse")
+    if params.filter == "surface" and params.correct not in RIG_MODELS[1:]:
+        raise StageError("filter: surface needs a depth; set correct: near, near+shadows or full")
     height, width = stacked.sizes["y"], stacked.sizes["x"]
     frame_of = list(stacked.along("frame"))
     if performance:

@@ -22,7 +22,7 @@ from hw.geodesic import light_positions
 from stages.calibration.ball_conic import sphere_centre
 from stages.calibration.ball_outline import find_outline
 from stages.calibration.light_positions import Camera, refine
-from stages.calibration.light_rays import orthographic_directions
+from stages.calibration.light_rays import light_rays, orthographic_directions, ray_sigma, to_world, triangulate
 from stages.calibration.session import (
     frames_of,
     intrinsics,
@@ -141,7 +141,7 @@ def lights(
         "off_place": np.zeros(count, np.bool_),
         "renumbered": np.array(False),
     }
-    if camera is None or ball_radius_mm is None or layout_vectors is None:
+    if camera is None or ball_radius_mm is None:
         ball = outlines[0]
         direction = orthographic_directions(at[0], ball.centre_px, ball.radius_px)
         return {**out, "direction": direction}
@@ -153,6 +153,8 @@ def lights(
         np.asarray(pose["t_mm"], float),
         np.asarray(camera["distortion"], float),
     )
+    if layout_vectors is None:
+        return {**out, **_without_layout(at, sigma, centres, ball_radius_mm, eye)}
     prior: Any = {"radius_sigma_mm": stage_sigma_mm, "placement_sigma_mm": placement_sigma_mm}
     found = refine(at, sigma, centres, ball_radius_mm, eye, layout_vectors, stage_radius_mm, **prior)
     order = renumbered(found.place, layout_vectors)
@@ -178,6 +180,30 @@ def lights(
         "turn": found.turn,
         "stage_mm": np.array([*found.centre_mm, found.radius_mm]),
     }
+
+
+def _without_layout(
+    at: Floats, sigma: Floats, centres: Floats, ball_radius_mm: float, eye: Camera
+) -> Mapping[str, Floats]:
+    """Directions of the rays; with several places of the ball, positions where they meet."""
+    rays = [
+        to_world(*light_rays(a, c, ball_radius_mm, eye.K, distortion=eye.distortion), eye.R, eye.t_mm)
+        for a, c in zip(at, centres, strict=True)
+    ]
+    points, directions = (np.stack(part) for part in zip(*rays, strict=True))
+    spread = np.stack(
+        [
+            ray_sigma(a, s, c, ball_radius_mm, eye.K, distortion=eye.distortion)
+            for a, s, c in zip(at, sigma, centres, strict=True)
+        ]
+    )
+    shown = np.isfinite(directions[..., 0])
+    total = np.where(shown[..., None], directions, 0).sum(axis=0)
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    found = {"direction": np.where(length > 0, total / np.maximum(length, 1e-12), np.nan), "ball_mm": centres}
+    if len(at) > 1:
+        found["position_mm"], found["sigma_mm"] = triangulate(points, directions, spread)
+    return found
 
 
 def renumbered(place: NDArray[np.int64], layout: Floats) -> NDArray[np.int64] | None:

@@ -347,3 +347,18 @@ def test_the_demo_makes_every_target_and_calibrate_measures_it(lightstage: Comma
         made = lightstage("demo", "--target", target, "--json").json
         assert made["item"] == TARGETS[target]
         measure(lightstage, made["item"], Path(made["capture"]))
+
+
+def test_without_a_layout_rays_of_two_places_meet_at_the_lights(
+    lightstage: Command, targets: Path, tmp_path: Path
+) -> None:
+    folder = ball_targets.mirror_ball(shot("places"), targets / "places", positions=2)
+    measure(lightstage, "lights", folder, out=tmp_path / "rays.yaml", more=("--set", "lights.layout=none"))
+    item = yaml.safe_load((tmp_path / "rays.yaml").read_text())
+    wanted = np.array(truth_of(folder)["light_mm"])
+    found = {int(light["id"][1:]): light["position_mm"] for light in item["lights"] if "position_mm" in light}
+    off = [np.linalg.norm(np.array(place) - wanted[k]) for k, place in found.items()]
+    assert len(off) > 30
+    # two places 30 mm apart see a light at 790 mm under 2 degrees, and a ray is good to half a degree: a quarter of
+    # the distance; whole decimetres of ball travel, as on a real stage, make it millimetres
+    assert np.median(off) < 250
