@@ -206,6 +206,7 @@ def sensitivity(head: Subject) -> list[str]:
     for pixels in (-4, -2, 0, 1, 2):
         change = cv2.erode if pixels < 0 else cv2.dilate
         mask = change(head.whole.astype(np.uint8), kernel, iterations=abs(pixels)) > 0
+        mask = subject_mask.lit(mask, measured.constant.mean(axis=0))
         normal, depth = solved(head, "full", mask=mask, measured=measured)
         word = (
             "the true mask" if pixels == 0 else f"mask {'eroded' if pixels < 0 else 'dilated'} by {abs(pixels)} px"

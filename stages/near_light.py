@@ -106,6 +106,8 @@ def _measure_band(pictures: Mapping[str, NDArray[np.float32]]) -> tuple[Array, A
         vector[..., i] /= seen
     valid = known & (constant > 0) & (np.einsum("yxi,yxi->yx", vector, vector) > 0)
     level = np.maximum(cv2.GaussianBlur(np.where(valid, constant, 0), (0, 0), 1.5), 1e-12)
+    # beside a bright rim the smoothed level would vouch for a background whose ratio is noise over nothing
+    level = np.minimum(level, 2 * np.maximum(constant, 1e-12))
     weight = np.where(valid, level**2 / (2 * alpha + beta * level), 0)
     kept = (np.where(valid[..., None], vector, 0), np.where(valid, constant, 0), weight)
     return tuple(np.asarray(part, np.float32) for part in kept)  # type: ignore[return-value]

@@ -33,7 +33,7 @@ from stages.band_fusion import fuse as fuse_bands
 from stages.normal_filter import non_local_means
 from stages.pinhole import Pinhole
 from stages.spherical_gradients import AXES, FILL, GRADIENTS, STEPS, table
-from stages.subject_mask import find_subject
+from stages.subject_mask import find_subject, lit
 
 
 class NormalsParams(Params):
@@ -250,7 +250,8 @@ def _with_rig(
     assert rig.camera is not None
     if not (measured.weight > 0).any():
         raise StageError("no pixel is measured in all pictures of the set: they are black, or saturated")
-    mask = rig.mask if rig.mask is not None else find_subject(measured.constant.mean(axis=0))
+    constant = measured.constant.mean(axis=0)
+    mask = lit(rig.mask, constant) if rig.mask is not None else find_subject(constant)
     found = self_consistent.solve(measured, mask, rig.camera, rig.lights, model=model)
     points = rig.camera.points(found.depth)
     return _read_out(measured, found, points, rig, as_one=as_one, filtered=filtered)

@@ -14,6 +14,9 @@ _LEAST_PART = 0.002
 _DIM = 0.02
 """A subject is at least this part of its own brightness above the background."""
 
+_LIT = 0.1
+"""What is in a given mask and dimmer than this part of its median is background, or tells nothing."""
+
 
 def find_subject(constant: NDArray[np.floating]) -> NDArray[np.bool_]:
     """The largest bright thing: threshold against the background, largest component, holes filled.
@@ -53,6 +56,25 @@ def find_subject(constant: NDArray[np.floating]) -> NDArray[np.bool_]:
     filled = np.zeros(subject.shape, np.uint8)
     cv2.drawContours(filled, outlines, -1, 1, cv2.FILLED)
     return tight(filled > 0)
+
+
+def lit(mask: NDArray[np.bool_], constant: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """A given mask without the background that it lets in: ratios of what is not lit are noise, and spread.
+
+    Args:
+        mask: (y, x), as it came with the capture.
+        constant: (y, x) radiance under constant light.
+    """
+    if not mask.any():
+        return mask
+    smooth = cv2.GaussianBlur(np.where(np.isfinite(constant), constant, 0).astype(np.float32), (0, 0), 0.8)
+    usual = float(np.median(smooth[mask]))
+    bright = mask & (smooth > _LIT * usual)
+    if bright.all() or not (mask & ~bright).any():
+        return mask
+    # where the background was cut away, its neighbours are half of it
+    edge = cv2.dilate((mask & ~bright).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    return np.asarray(bright & ~edge)
 
 
 def tight(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
