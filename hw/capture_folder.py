@@ -1,19 +1,14 @@
 """One capture folder of a calibration target (lightstage-capture/1) that appears whole, with items and truth."""
 
-import os
-import shutil
-import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
-from hw.errors import RigError
+from hw.folder import appearing, dump, save
 from hw.sensor import BITS, STORED_SCALE
 from hw.virtual_rig import CAMERA_MM, Rig, Shot
 
@@ -45,15 +40,8 @@ def written(
         RigError: the folder holds something else.
     """
     what = {"virtual_rig": 1, "target": target, "options": options, "shot": asdict(shot)}
-    marker = yaml.safe_dump(_plain(what), sort_keys=False)
-    note = folder / "virtual_rig.yaml"
-    if note.is_file() and note.read_text() == marker:
-        return folder
-    if folder.exists():
-        raise RigError(f"{folder} holds something else; remove it, or name another folder")
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    work = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
-    try:
+
+    def write(work: Path) -> None:
         rig = Rig.made(shot)
         generators = [np.random.default_rng([shot.seed, 25, camera]) for camera in (0, 1)]
         described = []
@@ -62,7 +50,7 @@ def written(
             described.append(keys)
             for (band, camera), picture in pictures.items():
                 name = f"{i:04d}_{keys['illumination']}_{numbers[band]}nm_CAM{camera}.png"
-                _save(work / name, rig.sensors[camera].expose(picture, generators[camera]))
+                save(work / name, rig.sensors[camera].expose(picture, generators[camera]))
         description = {
             "format": "lightstage-capture/1",
             "session": shot.session,
@@ -77,18 +65,13 @@ def written(
             "calibration": "calibration/",
             "target": target,
         }
-        _dump(work / "capture.yaml", description)
+        dump(work / "capture.yaml", description)
         (work / "calibration").mkdir()
         _items(work / "calibration", shot, rig, items)
         (work / "truth").mkdir()
-        _dump(work / "truth" / "truth.yaml", truth)
-        (work / "virtual_rig.yaml").write_text(marker)
-        os.chmod(work, 0o755)
-        os.rename(work, folder)
-    except BaseException:
-        shutil.rmtree(work, ignore_errors=True)
-        raise
-    return folder
+        dump(work / "truth" / "truth.yaml", truth)
+
+    return appearing(folder, what, write)
 
 
 def _items(folder: Path, shot: Shot, rig: Rig, kinds: Sequence[str]) -> None:
@@ -100,27 +83,8 @@ def _items(folder: Path, shot: Shot, rig: Rig, kinds: Sequence[str]) -> None:
         else:
             for camera, sensor in enumerate(rig.sensors):
                 frame = sensor.dark_frame() if kind == "dark" else sensor.flat_frame()
-                _save(folder / f"{kind}_CAM{camera}.png", frame)
+                save(folder / f"{kind}_CAM{camera}.png", frame)
             item |= {"images": {f"CAM{c}": f"{kind}_CAM{c}.png" for c in (0, 1)}, "scale": STORED_SCALE}
             if kind == "flat":
                 item["dark_included"] = True
-        _dump(folder / f"{kind}.yaml", item)
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {k: _plain(v) for k, v in value.items()}
-    if isinstance(value, tuple | list | np.ndarray):
-        return [_plain(v) for v in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    return round(value, 6) if isinstance(value, float) else value
-
-
-def _dump(path: Path, value: dict[str, Any]) -> None:
-    path.write_text(yaml.safe_dump(_plain(value), sort_keys=False, default_flow_style=None, width=110))
-
-
-def _save(path: Path, picture: NDArray[np.uint16]) -> None:
-    if not cv2.imwrite(str(path), picture):
-        raise RigError(f"{path} cannot be written; is the disk full?")
+        dump(folder / f"{kind}.yaml", item)

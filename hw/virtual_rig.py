@@ -6,8 +6,6 @@ it writes is what an archive holds: `capture.yaml`, pictures, `calibration/`, an
 """
 
 import os
-import shutil
-import tempfile
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
@@ -16,11 +14,11 @@ from typing import Any
 
 import cv2
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from hw import head, skin
 from hw.errors import RigError
+from hw.folder import appearing, dump, save
 from hw.geodesic import light_positions
 from hw.gradients import weights
 from hw.sensor import BITS, OFFSET, STORED_SCALE, WHITE, Sensor
@@ -98,31 +96,7 @@ def capture(shot: Shot, folder: Path) -> Path:
     Raises:
         RigError: the folder holds something else.
     """
-    marker = yaml.safe_dump({"virtual_rig": 1, "shot": _plain(asdict(shot))}, sort_keys=False)
-    note = folder / "virtual_rig.yaml"
-    if note.is_file() and note.read_text() == marker:
-        return folder
-    if folder.exists():
-        raise RigError(f"{folder} holds something else; remove it, or name another folder")
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    work = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
-    try:
-        _write(shot, work)
-        (work / "virtual_rig.yaml").write_text(marker)
-        os.chmod(work, 0o755)
-        os.rename(work, folder)
-    except BaseException:
-        shutil.rmtree(work, ignore_errors=True)
-        raise
-    return folder
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {k: _plain(v) for k, v in value.items()}
-    if isinstance(value, tuple | list | np.ndarray):
-        return [_plain(v) for v in value]
-    return value.item() if isinstance(value, np.generic) else value
+    return appearing(folder, {"virtual_rig": 1, "shot": asdict(shot)}, lambda work: _write(shot, work))
 
 
 def _write(shot: Shot, folder: Path) -> None:
@@ -146,7 +120,7 @@ def _write(shot: Shot, folder: Path) -> None:
                 if camera == 0:
                     radiance = radiance + view.specular[i]
                 picture = rig.sensors[camera].expose(exposure * radiance, generators[camera])
-                _save(folder / f"{i:04d}_{name}_{band}nm_CAM{camera}.png", picture)
+                save(folder / f"{i:04d}_{name}_{band}nm_CAM{camera}.png", picture)
     _write_description(shot, folder)
     _write_items(shot, rig, exposures, folder / "calibration")
     truth = folder / "truth"
@@ -236,17 +210,8 @@ def _edges(mask: NDArray[np.bool_], depth: Array) -> NDArray[np.bool_]:
     return np.asarray((high - low) > 6.0)
 
 
-def _save(path: Path, picture: NDArray[np.uint16]) -> None:
-    if not cv2.imwrite(str(path), picture):
-        raise RigError(f"{path} cannot be written; is the disk full?")
-
-
-def _dump(path: Path, value: dict[str, Any]) -> None:
-    path.write_text(yaml.safe_dump(_plain(value), sort_keys=False, default_flow_style=None, width=110))
-
-
 def _write_description(shot: Shot, folder: Path) -> None:
-    _dump(
+    dump(
         folder / "capture.yaml",
         {
             "format": "lightstage-capture/1",
@@ -267,8 +232,8 @@ def _write_description(shot: Shot, folder: Path) -> None:
 def _write_items(shot: Shot, rig: Rig, exposures: Sequence[float], folder: Path) -> None:
     folder.mkdir()
     for camera, sensor in enumerate(rig.sensors):
-        _save(folder / f"dark_CAM{camera}.png", sensor.dark_frame())
-        _save(folder / f"flat_CAM{camera}.png", sensor.flat_frame())
+        save(folder / f"dark_CAM{camera}.png", sensor.dark_frame())
+        save(folder / f"flat_CAM{camera}.png", sensor.flat_frame())
     pictures = {kind: {f"CAM{i}": f"{kind}_CAM{i}.png" for i in (0, 1)} for kind in ("dark", "flat")}
     own = {"rig": "virtual"}
     items: list[dict[str, Any]] = [
@@ -315,4 +280,4 @@ def _write_items(shot: Shot, rig: Rig, exposures: Sequence[float], folder: Path)
         },
     ]
     for item in items:
-        _dump(folder / f"{item['item']}.yaml", item)
+        dump(folder / f"{item['item']}.yaml", item)

@@ -11,8 +11,8 @@ from stages.integration import integrate
 from stages.interreflection import Tiles, without_bounces
 from stages.near_light import Lights, Measured, invert, measure
 from stages.normal_filter import noise_factor, non_local_means
-from stages.normals import surface_normals
 from stages.pinhole import Pinhole
+from stages.rig_normals import surface_normals
 from stages.subject_mask import find_subject
 from stages.visibility import visible
 from tests.scenes import LIGHT_MM, STATIC, angle_deg, light_places, near_ball
