@@ -213,7 +213,15 @@ def _tell(
     screen.table(("node", "computed", "reused", "seconds", "size"), rows, right=(1, 2, 3, 4))
     for node in answer["nodes"].values():
         for key, value in node["attrs"].items():
-            screen.say(f"{node['name']}: {key.replace('_', ' ')}: {value}")
+            if key == "distance_found":
+                if value < 1:
+                    screen.warn(
+                        f"{node['name']}: the norm does not tell the distance in every tracking frame; the stage's "
+                        "centre was taken there, so check the lights and camera items"
+                    )
+                continue
+            shown = f"{value:.1f}" if isinstance(value, float) else value
+            screen.say(f"{node['name']}: {key.replace('_', ' ')}: {shown}")
     if last is not None:
         screen.say(f"{elapsed:.2f} s; {last[0]} is in {last[1]}")
     return {"session": answer["session"], "seconds": round(elapsed, 3), "nodes": nodes}

@@ -16,8 +16,12 @@ from store.digest import SHORT, digest_bytes, digest_value
 from store.results import ResultName, set_current
 from store.root import Store
 
-PACKAGES = ("stages", "dag", "store")
+PACKAGES = ("stages", "hw", "dag", "store")
 _LIBRARIES = ("numpy", "numba", "opencv_contrib_python_headless", "scipy", "scikit_image")
+
+
+_SAID = ("method", "note", "cannot_be_made", "distance_mm", "distance_found")
+"""What of a result's attributes a run tells."""
 
 
 def request_key(
@@ -116,7 +120,7 @@ def remember(store: Store, key: str | None, session: str, results: Mapping[str, 
             "folder": None if result.path is None else result.path.name,
             "blocks": result.computed + result.reused,
             "bytes": result.size,
-            "attrs": {k: result.attrs[k] for k in ("method", "note", "cannot_be_made") if k in result.attrs},
+            "attrs": {k: result.attrs[k] for k in _SAID if k in result.attrs},
             "files": [[file, ref.blob, ref.size] for file, ref in result.files.items()],
         }
         for name, result in results.items()
