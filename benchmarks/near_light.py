@@ -215,6 +215,30 @@ def sensitivity(head: Subject) -> list[str]:
     return lines
 
 
+def details(bench: Bench, head: Subject) -> list[str]:
+    """How much of the true fine detail the normals hold, and what each filter costs of it."""
+    lines = ["| filter | whole head | without creases | mean / median |", "|---|---|---|---|"]
+    inside = cv2.erode(head.whole.astype(np.uint8), np.ones((9, 9))) > 0
+    for name in ("none", "nlm", "surface"):
+        normal = bench.normals(head.session, ["correct=full", "fuse=bands", f"filter={name}"]).normal[0]
+        known = head.whole & np.isfinite(normal).all(axis=0)
+        fine, true = _fine(normal, known), _fine(head.truth, known)
+        calm = np.linalg.norm(true, axis=0) < 0.1
+        slopes = [
+            float((fine[:, part] * true[:, part]).sum() / (true[:, part] ** 2).sum())
+            for part in (known, inside & known & calm)
+        ]
+        lines.append(f"| {name} | {slopes[0]:.2f} | {slopes[1]:.3f} | {head.error(normal)} |")
+    return lines
+
+
+def _fine(normal: Array, known: Array) -> Array:
+    """(xyz, y, x) normals less their blurred selves."""
+    inside = cv2.GaussianBlur(known.astype(np.float32), (0, 0), 2.0)
+    kept = np.where(known, np.nan_to_num(normal), 0).astype(np.float32)
+    return np.stack([n - cv2.GaussianBlur(n, (0, 0), 2.0) / np.maximum(inside, 1e-6) for n in kept])
+
+
 def integrations(head: Subject) -> list[str]:
     """Depth from the true normals: ours, plain Poisson by SciPy, and the bilateral system solved directly."""
     n = np.moveaxis(head.truth, 0, 2) @ head.camera.rotation.T
@@ -275,6 +299,7 @@ def main() -> None:
         }
         tables = {
             "methods": methods(bench, subjects),
+            "detail": details(bench, subjects["head"]),
             "ablation": ablation(subjects["head"]),
             "sensitivity": sensitivity(subjects["head"]),
             "integration": integrations(subjects["head"]),

@@ -10,7 +10,7 @@ light the point sees. Gradients are driven by (1 +- g_ka) / 2, g_k the unit vect
     m_a = r_a - r_a' = a sum_k g_ka max(0, n . e_k),    r_c = a sum_k max(0, n . e_k)
 
 `measure` makes m and r_c of the pictures, `invert` finds the n whose m has the measured direction: Newton's
-method on the lights above the horizon, M n ~ m with M = sum g_k e_k^T over them. It ends in three or four steps.
+method on the lights above the horizon, M n ~ m with M = sum g_k e_k^T over them.
 
 Sources: Woodham (1980) and Ma et al. (2007) for distant lights; the model of near ones is textbook.
 """
