@@ -4,6 +4,8 @@ Imports nothing of ours outside itself.
 
     geodesic.py      where the lights are
     gradients.py     what each light is driven with, per illumination
+    sequence.py      which illumination comes when, and what a tracking frame supports
+    pacing.py        how fast a sequence plays, and whether it flashes
     skin.py          what skin reflects, band by band
     head.py          the subject: a head as a distance field
     sensor.py        the cameras: response, dark, noise, bits

@@ -22,11 +22,12 @@ from hw.folder import appearing, dump, save
 from hw.geodesic import light_positions
 from hw.gradients import weights
 from hw.sensor import BITS, OFFSET, STORED_SCALE, WHITE, Sensor
+from hw.sequence import static
 
 RADIUS_MM = 790.0
 CAMERA_MM = 890.0
 GLOSS = 0.25
-STATIC = ("C", "X", "Y", "Z", "Xc", "Yc", "Zc")
+STATIC = static()
 THESIS_BANDS = (407, 434, 445, 497, 576, 655)
 _WIDTHS = {407: 17, 434: 17, 445: 20, 497: 16, 576: 10, 655: 15}
 Array = NDArray[np.float64]
