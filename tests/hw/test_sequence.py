@@ -112,6 +112,16 @@ def test_minimal_windows_support_one_minimal_set_each() -> None:
     assert third.sets == ("minimal Z: X Yc",)
 
 
+def test_the_pure_cycle_goes_through_the_thesis_unit_sequences() -> None:
+    """(s_x, s_y', s_z'), (s_x, s_y, s_z'), (s_x', s_y, s_z), (s_x', s_y', s_z), as the thesis lists them."""
+    units = ["X", "Yc", "Zc", "X", "Y", "Zc", "Xc", "Y", "Z", "Xc", "Yc", "Z"]
+    found = []
+    for first, before, after, _ in windows(minimal(12)):
+        assert len(before) == len(after)
+        found.append(first[0] + before[1:])
+    assert found == units
+
+
 @given(st.lists(st.sampled_from(["C", "X", "Y", "Z", "Xc", "Yc", "Zc", "L03", "O"]), min_size=1, max_size=24))
 def test_adding_pictures_never_takes_a_set_away(sequence: list[str]) -> None:
     records = supported(sequence)
