@@ -1,4 +1,8 @@
-"""demo: the virtual rig as a capture, imported with its ground truth beside it; or a calibration target."""
+"""demo: the virtual rig as a capture, imported with its ground truth beside it; or a calibration target.
+
+A performance with the minimal sequence uses mixed sets: in that order nine pictures reach the base pairs of all three
+axes, where pure sets need thirty-six.
+"""
 
 import argparse
 import re
@@ -22,6 +26,9 @@ TARGETS = {
     "polarisers": "polarisers",
 }
 """Calibration targets of the virtual rig, and the item that each is for."""
+BANDS, BROADBAND = "407,434,445,497,576,655", "0"
+TRACKING = 3
+"""Tracking frames of a performance: with the minimal sequence each axis is the base pair once."""
 
 
 def configure(commands: Any) -> None:
@@ -31,15 +38,28 @@ def configure(commands: Any) -> None:
     demo.add_argument("--size", default="406x309", metavar="WxH", help="pixels (default: 406x309)")
     demo.add_argument(
         "--bands",
-        default="407,434,445,497,576,655",
         metavar="NM,...",
-        help="wavelengths; 0 for unfiltered light",
+        help=f"wavelengths; 0 for unfiltered light (default: {BANDS}; {BROADBAND} for a performance)",
     )
     demo.add_argument(
         "--seed", type=int, default=1, metavar="N", help="another head, skin, rig and noise; 0: the mean"
     )
     demo.add_argument(
         "--target", choices=TARGETS, help="capture a calibration target instead: a folder for `calibrate`"
+    )
+    demo.add_argument(
+        "--sequence",
+        choices=("static", "wilson", "minimal"),
+        default="static",
+        help="a still head, or a performance of a moving one at 60 pictures a second, cross camera only",
+    )
+    demo.add_argument(
+        "--tracking", type=int, metavar="N", help=f"tracking frames of a performance (default: {TRACKING})"
+    )
+    demo.add_argument(
+        "--motion",
+        choices=("slow", "fast", "still"),
+        help="of a performance: about 1, or 3 to 5 pixels a picture at 406x309 (default: slow)",
     )
     demo.set_defaults(handler=handle_demo)
 
@@ -50,23 +70,46 @@ def handle_demo(options: argparse.Namespace, screen: Screen) -> int:
     size = re.fullmatch(r"([0-9]+)x([0-9]+)", options.size)
     if not size:
         raise RequestError(f"--size {options.size}: expected WIDTHxHEIGHT, such as 406x309")
-    if not re.fullmatch(r"[0-9]+(,[0-9]+)*", options.bands):
-        raise RequestError(f"--bands {options.bands}: expected wavelengths in nm, such as 434,576")
-    bands = tuple(int(band) for band in options.bands.split(","))
+    performance = options.sequence != "static"
+    wavelengths = options.bands or (BROADBAND if performance else BANDS)
+    if not re.fullmatch(r"[0-9]+(,[0-9]+)*", wavelengths):
+        raise RequestError(f"--bands {wavelengths}: expected wavelengths in nm, such as 434,576")
+    bands = tuple(int(band) for band in wavelengths.split(","))
+    if performance and options.target:
+        raise RequestError(f"--sequence {options.sequence}: a calibration target does not perform; leave one out")
+    for option, value in (("--tracking", options.tracking), ("--motion", options.motion)):
+        if value is not None and not performance:
+            raise RequestError(f"{option} {value}: only a performance has it; add --sequence wilson or minimal")
     if options.target:
         return _target(options, store, screen, int(size[1]), int(size[2]), bands)
+    name = options.session
+    if performance and name == "demo":
+        name = f"demo-{options.sequence}"
     name = demo_session(
         store,
         screen,
-        name=options.session,
+        name=name,
         width=int(size[1]),
         height=int(size[2]),
         bands_nm=bands,
         seed=options.seed,
+        **(_performance(options) if performance else {}),
     )
     folder = store.sessions / name
     screen.document({"session": name, "raw": str(folder / "raw.zarr"), "truth": str(folder / "truth")})
     return 0
+
+
+def _performance(options: argparse.Namespace) -> dict[str, Any]:
+    from hw.errors import RigError
+    from hw.sequence import minimal, wilson
+
+    tracking = TRACKING if options.tracking is None else options.tracking
+    try:
+        sequence = wilson(tracking) if options.sequence == "wilson" else minimal(tracking, sets="mixed")
+    except RigError as error:
+        raise RequestError(f"--tracking {error}") from None
+    return {"sequence": sequence, "motion": options.motion or "slow"}
 
 
 def _target(
@@ -118,15 +161,17 @@ def demo_session(store: Store, screen: Screen, *, name: str = "demo", **shot: An
         wanted = Shot(session=name, **shot)
         folder = store.root / "captures" / f"{name}-{digest_value(_options(wanted))[:SHORT]}"
         if not folder.is_dir():
-            screen.say(
-                f"the virtual rig captures {len(wanted.sequence)} illuminations in {len(wanted.bands_nm)} band(s)"
-            )
+            what = "illuminations" if wanted.motion is None else f"pictures of a head in {wanted.motion} motion"
+            screen.say(f"the virtual rig captures {len(wanted.sequence)} {what} in {len(wanted.bands_nm)} band(s)")
         capture(wanted, folder)
     except RigError as error:
         raise RequestError(str(error)) from None
     import_folder(folder, store, screen)
     truth = store.sessions / name / "truth"
     truth.mkdir(exist_ok=True)
+    made = {path.name for path in (folder / "truth").iterdir()}
+    for stale in [path for path in truth.iterdir() if path.name not in made]:
+        stale.unlink()  # of a capture that this session held before
     for path in (folder / "truth").iterdir():
         (truth / path.name).unlink(missing_ok=True)
         link_or_copy(path, truth / path.name)
@@ -134,6 +179,4 @@ def demo_session(store: Store, screen: Screen, *, name: str = "demo", **shot: An
 
 
 def _options(shot: Any) -> dict[str, Any]:
-    from dataclasses import asdict
-
-    return {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(shot).items()}
+    return {key: list(value) if isinstance(value, tuple) else value for key, value in shot.described().items()}

@@ -8,6 +8,7 @@ Imports nothing of ours outside itself.
     pacing.py        how fast a sequence plays, and whether it flashes
     skin.py          what skin reflects, band by band
     head.py          the subject: a head as a distance field
+    motion.py        how the head turns, shifts and talks
     sensor.py        the cameras: response, dark, noise, bits
     virtual_rig.py   all of it together: a capture folder with ground truth
 """

@@ -1,7 +1,6 @@
 """One capture folder of a calibration target (lightstage-capture/1) that appears whole, with items and truth."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +38,7 @@ def written(
     Raises:
         RigError: the folder holds something else.
     """
-    what = {"virtual_rig": 1, "target": target, "options": options, "shot": asdict(shot)}
+    what = {"virtual_rig": 1, "target": target, "options": options, "shot": shot.described()}
 
     def write(work: Path) -> None:
         rig = Rig.made(shot)

@@ -1,7 +1,19 @@
 """The subject: a head as a signed distance field, and the light that it sends to the camera.
 
 World frame, millimetres. The field is a smooth union of ellipsoids with a relief of pores and creases on it,
-so surface normals are known everywhere. Light comes from points at finite distance with inverse-square
+so surface normals are known everywhere.
+
+A head that talks is the same head in a space that is bent a little. The field lives in *material* coordinates m, in
+which the head is at rest; a place q of the moving head's own frame shows the material
+
+    m(q) = q - sum_i v_i w_i(q),    w_i = max(0, 1 - |(q - c_i) / r_i|^2)^3,
+
+so that each row (c_i, r_i, v_i) of a *warp* carries the skin around c_i by about v_i (compactly supported radial
+functions). The surface is where D(m(q)) = 0, its normal is along J^T grad D with
+J = dm/dq, and relief and pigments are functions of m, so they move with the skin. Turning and shifting as a whole
+changes rays and lamps instead (`motion.py`), because both stay straight. A warp of None is the head at rest.
+
+Light comes from points at finite distance with inverse-square
 fall-off; each is traced to the surface, so cast and attached shadows are there. There is no inter-reflection.
 
 Radiance is in the rig's unit: a white Lambertian surface that faces one light at the stage's radius has 1.
@@ -17,6 +29,10 @@ FLAGS = {"nogil": True, "cache": True, "error_model": "numpy", "fastmath": True}
 _BOUND = 175.0  # everything lies within this radius, mm
 _MISS = -1.0
 _CELL = 3.0  # mm
+STRETCH = 1.3
+"""A warp may make distances in material space at most this many times those in the head's frame; rays step less."""
+Warp = NDArray[np.float64] | None
+"""(row, 9): c_i (mm), r_i (mm), v_i (mm), each xyz."""
 
 # centre x, y, z, half axes x, y, z, how softly it joins what is before it (mm)
 _PARTS = np.array(
@@ -105,6 +121,69 @@ def _distance(shape: NDArray[np.float64], x: float, y: float, z: float, relief: 
 
 
 @njit(**FLAGS)
+def _material(warp: Warp, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """The material m that is at a place of the head's frame."""
+    if warp is None:
+        return x, y, z
+    mx, my, mz = x, y, z
+    for i in range(warp.shape[0]):
+        px, py, pz = (x - warp[i, 0]) / warp[i, 3], (y - warp[i, 1]) / warp[i, 4], (z - warp[i, 2]) / warp[i, 5]
+        s = 1.0 - px * px - py * py - pz * pz
+        if s > 0:
+            w = s * s * s
+            mx -= warp[i, 6] * w
+            my -= warp[i, 7] * w
+            mz -= warp[i, 8] * w
+    return mx, my, mz
+
+
+@njit(**FLAGS)
+def _carried(
+    warp: Warp, x: float, y: float, z: float, gx: float, gy: float, gz: float
+) -> tuple[float, float, float]:
+    """J^T g at a place (x, y, z) of the head's frame, for a gradient g in material space."""
+    if warp is None:
+        return gx, gy, gz
+    ox, oy, oz = gx, gy, gz
+    for i in range(warp.shape[0]):
+        px, py, pz = (x - warp[i, 0]) / warp[i, 3], (y - warp[i, 1]) / warp[i, 4], (z - warp[i, 2]) / warp[i, 5]
+        s = 1.0 - px * px - py * py - pz * pz
+        if s > 0:
+            along = 6.0 * s * s * (warp[i, 6] * gx + warp[i, 7] * gy + warp[i, 8] * gz)  # -(v.g) dw/ds ds/dp
+            ox += along * px / warp[i, 3]
+            oy += along * py / warp[i, 4]
+            oz += along * pz / warp[i, 5]
+    return ox, oy, oz
+
+
+@njit(**FLAGS)
+def material(points: NDArray[np.float64], warp: Warp) -> NDArray[np.float64]:
+    """The material at points (point, xyz) of the head's frame, mm."""
+    out = np.empty_like(points)
+    for i in range(points.shape[0]):
+        out[i, 0], out[i, 1], out[i, 2] = _material(warp, points[i, 0], points[i, 1], points[i, 2])
+    return out
+
+
+@njit(**FLAGS)
+def place(materials: NDArray[np.float64], warp: Warp) -> NDArray[np.float64]:
+    """Where material (point, xyz) is in the head's frame, mm: the inverse of `material`, to 1e-9 mm.
+
+    q <- m + (q - m(q)) contracts by STRETCH - 1 a step.
+    """
+    out = materials.copy()
+    for i in range(out.shape[0]):
+        for _ in range(60):
+            x, y, z = out[i, 0], out[i, 1], out[i, 2]
+            mx, my, mz = _material(warp, x, y, z)
+            ex, ey, ez = materials[i, 0] - mx, materials[i, 1] - my, materials[i, 2] - mz
+            out[i, 0], out[i, 1], out[i, 2] = x + ex, y + ey, z + ez
+            if ex * ex + ey * ey + ez * ez < 1e-20:
+                break
+    return out
+
+
+@njit(**FLAGS)
 def coarse_field(shape: NDArray[np.float64]) -> NDArray[np.float32]:
     """The distance without relief on a grid of _CELL mm over the bounding cube, (x, y, z): what rays leap by."""
     count = int(2 * _BOUND / _CELL) + 2
@@ -114,6 +193,28 @@ def coarse_field(shape: NDArray[np.float64]) -> NDArray[np.float32]:
             for k in range(count):
                 field[i, j, k] = _distance(shape, i * _CELL - _BOUND, j * _CELL - _BOUND, k * _CELL - _BOUND, False)
     return field
+
+
+@njit(**FLAGS)
+def bent_field(shape: NDArray[np.float64], field: NDArray[np.float32], warp: Warp) -> NDArray[np.float32]:
+    """`coarse_field` of a bent head, in the head's frame: made anew within the warp's reach, the same elsewhere."""
+    if warp is None:
+        return field
+    out = field.copy()
+    top = field.shape[0] - 1
+    for r in range(warp.shape[0]):
+        low, high = np.empty(3, np.int64), np.empty(3, np.int64)
+        for a in range(3):
+            low[a] = max(0, int((warp[r, a] - warp[r, 3 + a] + _BOUND) / _CELL))
+            high[a] = min(top, int((warp[r, a] + warp[r, 3 + a] + _BOUND) / _CELL) + 1)
+        for i in range(low[0], high[0] + 1):
+            for j in range(low[1], high[1] + 1):
+                for k in range(low[2], high[2] + 1):
+                    x, y, z = i * _CELL - _BOUND, j * _CELL - _BOUND, k * _CELL - _BOUND
+                    mx, my, mz = _material(warp, x, y, z)
+                    if mx != x or my != y or mz != z:
+                        out[i, j, k] = _distance(shape, mx, my, mz, False)
+    return out
 
 
 @njit(**FLAGS)
@@ -144,6 +245,7 @@ def _enter(px: float, py: float, pz: float, dx: float, dy: float, dz: float) -> 
 def _trace(
     shape: NDArray[np.float64],
     field: NDArray[np.float32],
+    warp: Warp,
     origin: NDArray[np.float64],
     ray: NDArray[np.float64],
 ) -> float:
@@ -161,13 +263,23 @@ def _trace(
         if t > end or x * x + y * y + z * z > _BOUND * _BOUND:
             return _MISS
         d = _look_up(field, x, y, z)
-        if d > 3.0:
-            t += 0.85 * d - 1.0
-            continue
-        d = _distance(shape, x, y, z, True)
-        if d < 1e-3:
-            return float(t)
-        t += max(0.75 * d, 2e-3)
+        if warp is None:
+            if d > 3.0:
+                t += 0.85 * d - 1.0
+                continue
+            d = _distance(shape, x, y, z, True)
+            if d < 1e-3:
+                return float(t)
+            t += max(0.75 * d, 2e-3)
+        else:
+            if d > 3.0:
+                t += (0.85 * d - 1.0) / STRETCH
+                continue
+            mx, my, mz = _material(warp, x, y, z)
+            d = _distance(shape, mx, my, mz, True)
+            if d < 1e-3:
+                return float(t)
+            t += max(0.75 * d / STRETCH, 2e-3)
     return float(t) if d < 0.3 else _MISS
 
 
@@ -234,14 +346,16 @@ def _shade(
 def surface(
     shape: NDArray[np.float64],
     field: NDArray[np.float32],
+    warp: Warp,
     rays: NDArray[np.float64],
     origin: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Where rays meet the head.
+    """Where rays meet the head, all in the head's frame.
 
     Args:
         shape: from `parts`.
-        field: from `coarse_field`.
+        field: from `bent_field` with this warp; that of no warp is `coarse_field`.
+        warp: how it is bent, or None.
         rays: (ray, xyz), unit.
         origin: (xyz,) of the camera.
 
@@ -253,18 +367,39 @@ def surface(
     normal = np.zeros((count, 3))
     for i in range(count):
         dx, dy, dz = rays[i]
-        t = _trace(shape, field, origin, rays[i])
+        t = _trace(shape, field, warp, origin, rays[i])
         distance[i] = t
         if t < 0:
             continue
         x, y, z = origin[0] + t * dx, origin[1] + t * dy, origin[2] + t * dz
+        if warp is None:
+            mx, my, mz = x, y, z
+        else:
+            mx, my, mz = _material(warp, x, y, z)
         e = 0.02
-        gx = _distance(shape, x + e, y, z, True) - _distance(shape, x - e, y, z, True)
-        gy = _distance(shape, x, y + e, z, True) - _distance(shape, x, y - e, z, True)
-        gz = _distance(shape, x, y, z + e, True) - _distance(shape, x, y, z - e, True)
+        gx = _distance(shape, mx + e, my, mz, True) - _distance(shape, mx - e, my, mz, True)
+        gy = _distance(shape, mx, my + e, mz, True) - _distance(shape, mx, my - e, mz, True)
+        gz = _distance(shape, mx, my, mz + e, True) - _distance(shape, mx, my, mz - e, True)
+        if warp is not None:
+            gx, gy, gz = _carried(warp, x, y, z, gx, gy, gz)
         g = math.sqrt(gx * gx + gy * gy + gz * gz)
         normal[i, 0], normal[i, 1], normal[i, 2] = gx / g, gy / g, gz / g
     return distance, normal
+
+
+@njit(**FLAGS)
+def first_hit(
+    shape: NDArray[np.float64],
+    field: NDArray[np.float32],
+    warp: Warp,
+    rays: NDArray[np.float64],
+    origin: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """`surface` without normals: the distance (ray,) alone."""
+    distance = np.empty(rays.shape[0])
+    for i in range(rays.shape[0]):
+        distance[i] = _trace(shape, field, warp, origin, rays[i])
+    return distance
 
 
 @njit(**FLAGS)
@@ -282,7 +417,7 @@ def shading(
     """Diffuse radiance per unit albedo and specular radiance, (ray, illumination).
 
     Args:
-        lights: (light, xyz) mm.
+        lights: (light, xyz) mm, in the head's frame as everything here.
         radius: of the stage, mm.
         drive: (illumination, light), 0 to 1.
         gloss: GGX alpha.
@@ -298,7 +433,7 @@ def shading(
 
 
 def pigments(points: NDArray[np.float64], seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Melanin and haemoglobin at points (..., xyz), optical depths at 576 nm.
+    """Melanin and haemoglobin of material points (..., xyz), optical depths at 576 nm.
 
     Blotches on three scales, freckles over the cheeks, redder cheeks, nose and lips. Seeds vary the skin tone.
     """

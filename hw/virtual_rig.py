@@ -3,10 +3,14 @@
 41 lights at 790 mm, each a few millimetres off its ideal place, driven with 12-bit weights made from the ideal
 places; two cameras behind a beam splitter, the parallel one turned, mirrored and a little offset; 10 bits. What
 it writes is what an archive holds: `capture.yaml`, pictures, `calibration/`, and `truth/`.
+
+A shot with a motion is a performance: one picture every 1/60 s, each under the next illumination of the sequence,
+instantaneous and without motion blur, by the cross camera alone. Its truth is per picture: normals, depth and mask,
+and the flow of the skin to the tracking frames (C) around it. Only one picture is in memory at a time.
 """
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -16,18 +20,22 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hw import head, skin
+from hw import head, motion, skin
 from hw.errors import RigError
 from hw.folder import appearing, dump, save
 from hw.geodesic import light_positions
 from hw.gradients import weights
+from hw.motion import Pose
 from hw.sensor import BITS, OFFSET, STORED_SCALE, WHITE, Sensor
 from hw.sequence import static
+from hw.target_scenes import project
 
 RADIUS_MM = 790.0
 CAMERA_MM = 890.0
 GLOSS = 0.25
 STATIC = static()
+RATE_HZ = 60.0
+"""Of a performance."""
 THESIS_BANDS = (407, 434, 445, 497, 576, 655)
 _WIDTHS = {407: 17, 434: 17, 445: 20, 497: 16, 576: 10, 655: 15}
 Array = NDArray[np.float64]
@@ -46,6 +54,8 @@ class Shot:
     """0 is the mean head; others vary its proportions and skin, the rig's tolerances and the noise."""
     frequency: int = 2
     """Of the geodesic sphere: 2 for 41 lights, 4 for 161."""
+    motion: str | None = None
+    """still, slow or fast makes it a performance; None is a static capture."""
 
     def __post_init__(self) -> None:
         if not (32 <= self.width <= 8192 and 32 <= self.height <= 8192):
@@ -56,6 +66,22 @@ class Shot:
             )
         if self.seed < 0:
             raise RigError(f"seed {self.seed}: a number from 0 up is needed")
+        if self.motion is not None:
+            self._check_performance()
+
+    def _check_performance(self) -> None:
+        if self.motion not in motion.MOTIONS:
+            raise RigError(f"the motion '{self.motion}' is not known; expected {', '.join(motion.MOTIONS)}")
+        if len(self.bands_nm) != 1:
+            raise RigError(
+                f"bands {list(self.bands_nm)}: a performance has one band, because filters do not change in 1/60 s"
+            )
+        if "C" not in self.sequence:
+            raise RigError(f"the sequence {' '.join(self.sequence)} has no tracking frame; a performance needs a C")
+
+    def described(self) -> dict[str, Any]:
+        """All options by name: what a folder is told apart by. A static capture's has no motion."""
+        return {name: value for name, value in asdict(self).items() if name != "motion" or value is not None}
 
 
 @dataclass(frozen=True)
@@ -97,7 +123,8 @@ def capture(shot: Shot, folder: Path) -> Path:
     Raises:
         RigError: the folder holds something else.
     """
-    return appearing(folder, {"virtual_rig": 1, "shot": asdict(shot)}, lambda work: _write(shot, work))
+    write = _write if shot.motion is None else _perform
+    return appearing(folder, {"virtual_rig": 1, "shot": shot.described()}, lambda work: write(shot, work))
 
 
 def _write(shot: Shot, folder: Path) -> None:
@@ -107,12 +134,11 @@ def _write(shot: Shot, folder: Path) -> None:
     y, x = np.mgrid[0 : shot.height, 0 : shot.width].astype(float)
     grids = (_cross_position(rig, shot, x, y), np.stack([x, y], axis=-1))
     field = head.coarse_field(shape)
-    views = [_render(shape, field, rig, shot, grid, drive) for grid in grids]
+    views = [_render(shape, field, motion.REST, rig, shot, grid, drive) for grid in grids]
     cross = views[1]
     exposures = []
     for band in shot.bands_nm:
-        brightest = views[0].albedo(band) * views[0].diffuse[0] / 2 + views[0].specular[0]
-        exposures.append(round(0.85 * (WHITE - OFFSET) / float(np.percentile(brightest, 99.97)), 6))
+        exposures.append(_exposure(views[0].albedo(band) * views[0].diffuse[0] / 2 + views[0].specular[0]))
     generators = [np.random.default_rng([shot.seed, 4, camera]) for camera in (0, 1)]
     for i, name in enumerate(shot.sequence):
         for band, exposure in zip(shot.bands_nm, exposures, strict=True):
@@ -137,6 +163,137 @@ def _write(shot: Shot, folder: Path) -> None:
     )
 
 
+def _exposure(brightest: Array) -> float:
+    """Counts per radiance that bring the brightest parts of a picture to 85 % of the range."""
+    return round(0.85 * (WHITE - OFFSET) / float(np.percentile(brightest, 99.97)), 6)
+
+
+def _perform(shot: Shot, folder: Path) -> None:
+    """A performance, written picture by picture."""
+    assert shot.motion is not None
+    rig = Rig.made(shot)
+    shape = head.parts(shot.seed)
+    at_rest = head.coarse_field(shape)
+    y, x = np.mgrid[0 : shot.height, 0 : shot.width].astype(float)
+    grid = np.stack([x, y], axis=-1)
+    (band,) = shot.bands_nm
+    poses = [motion.pose(shot.motion, i / RATE_HZ) for i in range(len(shot.sequence))]
+    generator = np.random.default_rng([shot.seed, 4, 1])
+    truth = folder / "truth"
+    truth.mkdir()
+    fastest = []
+    exposure = 0.0
+    for i, name in enumerate(shot.sequence):
+        drive = np.stack([weights(one, rig.ideal) for one in ((name,) if i else (name, "C"))])
+        view = _render(shape, head.bent_field(shape, at_rest, poses[i].warp), poses[i], rig, shot, grid, drive)
+        albedo = view.albedo(band)
+        if i == 0:  # the exposure is set before the performance, under C
+            exposure = _exposure(albedo * view.diffuse[1] / 2)
+        picture = rig.sensors[1].expose(exposure * albedo * view.diffuse[0] / 2, generator)
+        save(folder / f"{i:04d}_{name}_{band}nm_CAM1.png", picture)
+        head_only = view.mask[..., None]
+        np.savez_compressed(
+            truth / f"gt_t{i:02d}.npz",
+            normal=np.where(head_only, view.normal, 0).astype(np.float16),
+            depth_mm=view.depth.astype(np.float32),
+            mask=view.mask,
+            albedo=np.where(view.mask, albedo, 0).astype(np.float16),
+        )
+        flows: dict[str, NDArray[Any]] = {}
+        for label, other in _flow_targets(shot.sequence, i):
+            flow = _flow(view, poses[other], rig, grid)
+            flows[f"flow_to_{label}"] = flow.astype(np.float16)
+            field = head.bent_field(shape, at_rest, poses[other].warp)
+            flows[f"visible_{label}"] = _visible(shape, field, view, poses[other], grid + flow)
+            if label.endswith("C"):
+                flows[f"t_{label}"] = np.array(other)
+        np.savez_compressed(truth / f"flow_t{i:02d}.npz", allow_pickle=False, **flows)
+        if i + 1 < len(poses):
+            step = np.linalg.norm(_flow(view, poses[i + 1], rig, grid)[view.mask], axis=-1)
+            fastest.append(round(float(np.percentile(step, 99.8)), 4))
+    _write_description(shot, folder, performance=True)
+    _write_items(shot, rig, [exposure], folder / "calibration")
+    dump(truth / "meta.yaml", _meta(shot, rig, exposure, poses, fastest))
+
+
+def _flow_targets(sequence: Sequence[str], i: int) -> list[tuple[str, int]]:
+    """Where truth flow goes from picture i, by label: to the C before and after it, and from a C to every picture
+    between those two."""
+    before = next((t for t in range(i - 1, -1, -1) if sequence[t] == "C"), None)
+    after = next((t for t in range(i + 1, len(sequence)) if sequence[t] == "C"), None)
+    targets = []
+    if before is not None:
+        targets.append(("prevC", before))
+    if after is not None:
+        targets.append(("nextC", after))
+    if sequence[i] == "C":
+        first = 0 if before is None else before + 1
+        last = len(sequence) if after is None else after
+        targets += [(f"t{t:02d}", t) for t in range(first, last) if t != i]
+    return targets
+
+
+def _flow(view: "_View", pose: Pose, rig: Rig, grid: Array) -> Array:
+    """(y, x, xy), pixels: from where a point of the skin is seen to where it is in another pose; 0 off the head."""
+    flow = np.zeros_like(grid)
+    world = pose.leave(head.place(view.material[view.mask], pose.warp))
+    flow[view.mask] = project(world, rig.K, CAMERA_MM) - grid[view.mask]
+    return flow
+
+
+def _visible(
+    shape: Array, field: NDArray[np.float32], view: "_View", pose: Pose, seen_at: Array
+) -> NDArray[np.bool_]:
+    """(y, x): whether the skin of a view is seen in another pose: in the picture, and nothing stands before it.
+
+    Args:
+        field: that of the other pose.
+    """
+    rows, columns = view.mask.shape
+    eye = np.array([0.0, 0.0, CAMERA_MM])
+    way = pose.leave(head.place(view.material[view.mask], pose.warp)) - eye
+    length = np.linalg.norm(way, axis=-1)
+    origin, rays = pose.enter(eye), (way / length[:, None]) @ pose.rotation
+
+    def work(piece: NDArray[np.int64]) -> tuple[Array]:
+        return (head.first_hit(shape, field, pose.warp, np.ascontiguousarray(rays[piece]), origin),)
+
+    (t,) = _in_pieces(work, len(rays))
+    inside = ((seen_at >= 0) & (seen_at <= np.array([columns - 1, rows - 1]))).all(axis=-1)
+    free = np.zeros(view.mask.shape, bool)
+    free[view.mask] = (t >= 0) & (np.abs(t - length) < 0.5)  # mm; the relief's height
+    return np.asarray(free & inside)
+
+
+def _meta(shot: Shot, rig: Rig, exposure: float, poses: Sequence[Pose], fastest: Sequence[float]) -> dict[str, Any]:
+    return {
+        "frames_and_units": {
+            "world": "right-handed, origin at the stage's centre, x right, y up, z towards the camera; mm",
+            "pixels": "(0, 0) is the centre of the top-left pixel",
+            "depth": "camera-frame z in mm (not ray length)",
+            "flow": "(dx, dy) in px: what is seen at (x, y) in a picture is at (x + dx, y + dy) in the other; "
+            "float16; 0 off the head",
+            "rot_deg_xyz": "world = Rz Ry Rx head + trans_mm",
+        },
+        "image_size_wh": [shot.width, shot.height],
+        "K_reference_camera_CAM1": rig.K,
+        "camera_distance_mm": CAMERA_MM,
+        "subject": f"head {shot.seed}",
+        "motion": shot.motion,
+        "camera_used": "CAM1 (cross), instantaneous exposure, no motion blur",
+        "exposure_dn_per_radiance": exposure,
+        "peak_px_per_frame": list(fastest),
+        "motion_per_frame": [
+            {
+                "rot_deg_xyz": [round(pose.channels[f"turn_{axis}"], 6) for axis in "xyz"],
+                "trans_mm": [round(pose.channels[f"shift_{axis}"], 6) for axis in "xyz"],
+                **{f"{name}_mm": round(pose.channels[name], 6) for name in ("jaw", "smile", "brow", "cheek")},
+            }
+            for pose in poses
+        ],
+    }
+
+
 def _cross_position(rig: Rig, shot: Shot, x: Array, y: Array) -> Array:
     """Where CAM0's raw pixels look, in CAM1's pixels: its mount (180 degrees, mirrored) undone, then the warp."""
     turned_x, turned_y = shot.width - 1 - x, shot.height - 1 - y
@@ -154,15 +311,27 @@ class _View:
     mask: NDArray[np.bool_]
     normal: Array  # (y, x, xyz)
     depth: Array
+    material: Array  # (y, x, xyz), mm: which point of the head at rest is seen
 
     def albedo(self, band: float) -> Array:
         return skin.albedo(self.melanin, self.haemoglobin, band)
 
 
-def _render(shape: Array, field: NDArray[np.float32], rig: Rig, shot: Shot, grid: Array, drive: Array) -> _View:
+def _in_pieces(work: Callable[[NDArray[np.int64]], tuple[Array, ...]], count: int) -> tuple[Array, ...]:
+    """What `work` makes of the numbers below `count`, done in threads."""
+    with ThreadPoolExecutor(max_workers=len(os.sched_getaffinity(0))) as pool:
+        done = list(pool.map(work, np.array_split(np.arange(count), 16)))
+    return tuple(np.concatenate(column) for column in zip(*done, strict=True))
+
+
+def _render(
+    shape: Array, field: NDArray[np.float32], pose: Pose, rig: Rig, shot: Shot, grid: Array, drive: Array
+) -> _View:
     """One camera's noise-free picture; pixels on an edge are the mean of nine rays."""
     rows, columns = grid.shape[:2]
-    origin = np.array([0.0, 0.0, CAMERA_MM])
+    eye = np.array([0.0, 0.0, CAMERA_MM])
+    # light and shadow are the same in any frame: they are found in the head's, where lamps and rays move
+    origin, lights = pose.enter(eye), np.ascontiguousarray(pose.enter(rig.lights))
 
     def rays(points: Array) -> Array:
         # camera x right, y down, z forward; world x right, y up, z towards the camera
@@ -171,25 +340,22 @@ def _render(shape: Array, field: NDArray[np.float32], rig: Rig, shot: Shot, grid
         d = np.stack([u, -v, -np.ones_like(u)], axis=-1)
         return np.ascontiguousarray(d / np.linalg.norm(d, axis=-1, keepdims=True)).reshape(-1, 3)
 
-    def trace(points: Array) -> tuple[Array, Array, Array, Array]:
-        directions = rays(points)
-        pieces = np.array_split(np.arange(len(directions)), 16)
+    def trace(points: Array) -> tuple[Array, ...]:
+        directions = rays(points) @ pose.rotation
 
         def work(piece: NDArray[np.int64]) -> tuple[Array, ...]:
             part = np.ascontiguousarray(directions[piece])
-            t, n = head.surface(shape, field, part, origin)
-            return (t, n, *head.shading(field, part, origin, t, n, rig.lights, RADIUS_MM, drive, GLOSS))
+            t, n = head.surface(shape, field, pose.warp, part, origin)
+            lit = head.shading(field, part, origin, t, n, lights, RADIUS_MM, drive, GLOSS)
+            return (t, n, *lit)
 
-        with ThreadPoolExecutor(max_workers=len(os.sched_getaffinity(0))) as pool:
-            done = list(pool.map(work, pieces))
-        t, n, d, s = (np.concatenate(column) for column in zip(*done, strict=True))
-        return t, n, d, s
+        return _in_pieces(work, len(directions))
 
     t, n, d, s = trace(grid)
     directions = rays(grid)
-    points = (origin + t[:, None] * directions).reshape(rows, columns, 3)
+    depth = CAMERA_MM - (eye + t[:, None] * directions)[:, 2].reshape(rows, columns)
     mask = (t >= 0).reshape(rows, columns)
-    depth = np.where(mask, CAMERA_MM - points[..., 2], 0)
+    depth = np.where(mask, depth, 0)
     d, s = d.reshape(rows, columns, -1), s.reshape(rows, columns, -1)
     edge = _edges(mask, depth)
     if edge.any():
@@ -198,9 +364,11 @@ def _render(shape: Array, field: NDArray[np.float32], rig: Rig, shot: Shot, grid
         _, _, fine_d, fine_s = trace(grid[edge][:, None, :] + offsets)
         d[edge] = fine_d.reshape(-1, 9, d.shape[2]).mean(axis=1)
         s[edge] = fine_s.reshape(-1, 9, s.shape[2]).mean(axis=1)
-    melanin, blood = head.pigments(points, shot.seed)
-    normal = n.reshape(rows, columns, 3)
-    return _View(np.moveaxis(d, 2, 0), np.moveaxis(s, 2, 0), melanin, blood, mask, normal, depth)
+    points = origin + t[:, None] * (directions @ pose.rotation)
+    material = head.material(points, pose.warp).reshape(rows, columns, 3)
+    melanin, blood = head.pigments(material, shot.seed)
+    normal = (n @ pose.rotation.T).reshape(rows, columns, 3)
+    return _View(np.moveaxis(d, 2, 0), np.moveaxis(s, 2, 0), melanin, blood, mask, normal, depth, material)
 
 
 def _edges(mask: NDArray[np.bool_], depth: Array) -> NDArray[np.bool_]:
@@ -211,7 +379,11 @@ def _edges(mask: NDArray[np.bool_], depth: Array) -> NDArray[np.bool_]:
     return np.asarray((high - low) > 6.0)
 
 
-def _write_description(shot: Shot, folder: Path) -> None:
+def _write_description(shot: Shot, folder: Path, *, performance: bool = False) -> None:
+    frames: list[dict[str, Any]] = [{"illumination": name} for name in shot.sequence]
+    if performance:
+        for i, frame in enumerate(frames):
+            frame["time_s"] = round(i / RATE_HZ, 6)
     dump(
         folder / "capture.yaml",
         {
@@ -219,12 +391,12 @@ def _write_description(shot: Shot, folder: Path) -> None:
             "session": shot.session,
             "rig": "virtual",
             "bits": BITS,
-            "frame_rate_hz": None,
-            "cameras": {"parallel": "CAM0", "cross": "CAM1"},
+            "frame_rate_hz": RATE_HZ if performance else None,
+            "cameras": {"cross": "CAM1"} if performance else {"parallel": "CAM0", "cross": "CAM1"},
             "mount": {"CAM0": {"rotate": 180, "mirror": True}, "CAM1": {"rotate": 0, "mirror": False}},
             "bands_nm": list(shot.bands_nm),
             "files": "{frame:04d}_{illumination}_{band}nm_{camera}.png",
-            "frames": [{"illumination": name} for name in shot.sequence],
+            "frames": frames,
             "calibration": "calibration/",
         },
     )
