@@ -1,7 +1,7 @@
 """demo: the virtual rig as a capture, imported with its ground truth beside it; or a calibration target.
 
-A performance with the minimal sequence uses mixed sets: in that order nine pictures reach the base pairs of all three
-axes, where pure sets need thirty-six.
+A performance with the minimal sequence uses mixed sets: in that order nine pictures reach the base pairs of all
+three axes, where pure sets take thirty-six to come round.
 """
 
 import argparse

@@ -94,8 +94,10 @@ def test_what_talks_lies_within_the_heads_bound() -> None:
 
 
 def test_normals_are_those_of_the_surface_that_is_traced() -> None:
-    """Against cross products of points traced about 0.5 mm apart, to 1e-3 mm. The resting head, whose normals have no
-    warp in them, says how good the comparison is; leaving the warp out of a bent head's normals costs degrees."""
+    """Against cross products of points traced about 0.5 mm apart, to 1e-3 mm.
+
+    The resting head, whose normals have no warp in them, says how good the comparison is; leaving the warp out of a
+    bent head's normals costs degrees."""
     shape = head.parts(0)
     field = head.coarse_field(shape)
     middle = rays(203, 154, 2.0).reshape(-1, 3)

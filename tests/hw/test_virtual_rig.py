@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from hw import head, skin
 from hw.errors import RigError
+from hw.gradients import weights
 from hw.sensor import ELECTRONS_PER_COUNT, OFFSET, READ_NOISE_ELECTRONS, Sensor
 from hw.virtual_rig import Shot, capture
 from store.importer import import_capture
@@ -193,7 +194,8 @@ def test_flow_goes_to_the_tracking_frames_and_from_them_to_what_stands_between(f
 
 def test_a_rigid_point_is_where_turning_and_shifting_by_hand_brings_it(fast: Path) -> None:
     """The upper forehead and crown, above all that talks. float16 flow of 6 px is good to 0.002 px, the field's hit
-    to 0.01 mm."""
+    to 0.01 mm.
+    """
     camera = yaml.safe_load((fast / "calibration" / "camera.yaml").read_text())
     k = np.array(camera["K"])
     course = yaml.safe_load((fast / "truth" / "meta.yaml").read_text())["motion_per_frame"]
@@ -217,23 +219,64 @@ def test_a_rigid_point_is_where_turning_and_shifting_by_hand_brings_it(fast: Pat
     assert np.linalg.norm(expected, axis=-1).mean() > 0.3
     np.testing.assert_allclose(found["flow_to_nextC"][rigid].astype(float), expected, atol=0.01)
     # visible: the other picture's depth is that of the point, up to interpolation on a curved surface
-    seen = rigid & found["visible_nextC"]
+    seen = rigid & found["visible_nextC"] & inner(truth["mask"])
+    seen &= brought(np.float32(inner(truth_of(fast, there)["mask"])), found["flow_to_nextC"]) > 0.999
     error = np.abs(brought(truth_of(fast, there)["depth_mm"], found["flow_to_nextC"]) - (890 - moved[..., 2]))[seen]
     assert np.percentile(error, 95) < 1.0
 
 
 def test_skin_and_relief_move_with_the_flow(fast: Path) -> None:
-    """Skin brought from another picture along the flow is this picture's skin; left where it was, it is not. Talking
-    included: the lips and cheeks are where most of the colour is."""
+    """Skin brought from another picture along the flow is this picture's skin; left where it was, it is not.
+
+    Talking included: lips and cheeks have most of the colour. Freckles and pores are finer than these pixels of
+    2 mm and bilinear values blur them, so pictures are compared after a blur of 1 px.
+    """
     for here, label, there in ((0, "nextC", 2), (2, "t04", 4), (6, "prevC", 5)):
         found, mine, other = flow_of(fast, here), truth_of(fast, here), truth_of(fast, there)
         keep = inner(mine["mask"]) & found[f"visible_{label}"]
         keep &= brought(other["mask"], found[f"flow_to_{label}"]) > 0.999
         still = np.zeros_like(found[f"flow_to_{label}"])
-        for name, gain in (("albedo", 4.0), ("normal", 1.5)):
-            followed = np.abs(brought(other[name], found[f"flow_to_{label}"]) - mine[name])[keep]
-            left = np.abs(brought(other[name], still) - mine[name])[keep]
-            assert np.mean(left) > gain * np.mean(followed)
+        for name in ("albedo", "normal"):
+            followed, left = (
+                np.mean(np.abs(cv2.GaussianBlur(brought(other[name], flow) - mine[name], (0, 0), 1.0))[keep])
+                for flow in (found[f"flow_to_{label}"], still)
+            )
+            assert left > 2.5 * followed
+
+
+def test_the_lamps_stay_where_they_are_when_the_head_turns(fast: Path) -> None:
+    """The forehead against Lambert's law summed over the lamps in the world's frame.
+
+    Only its own relief shades it a little, at rest (the first picture) as in motion. Lamps that turned with the head
+    would be off by 0.01 (Y) and 0.024 (Xc).
+    """
+    camera = yaml.safe_load((fast / "calibration" / "camera.yaml").read_text())
+    k = np.array(camera["K"])
+    lamps = yaml.safe_load((fast / "calibration" / "lights.yaml").read_text())["lights"]
+    places, ideal = (np.array([lamp[key] for lamp in lamps]) for key in ("position_mm", "drive_position"))
+    exposure = yaml.safe_load((fast / "calibration" / "bands.yaml").read_text())["bands"][0]["exposure"]
+    sensor = [
+        cv2.imread(str(fast / "calibration" / f"{kind}_CAM1.png"), cv2.IMREAD_UNCHANGED) / 16
+        for kind in ("dark", "flat")
+    ]
+    ratio = []
+    for frame, name in ((0, "X"), (2, "C"), (3, "Y"), (4, "Xc"), (5, "C")):
+        truth = truth_of(fast, frame)
+        depth = truth["depth_mm"].astype(float)
+        y, x = np.mgrid[0 : depth.shape[0], 0 : depth.shape[1]]
+        px, py = (x - k[0, 2]) / k[0, 0] * depth, -(y - k[1, 2]) / k[1, 1] * depth
+        forehead = inner(truth["mask"]) & (np.abs(px) < 30) & (py > 60) & (py < 95)
+        to_lamp = places - np.stack([px, py, 890 - depth], axis=-1)[forehead][:, None]
+        distance = np.linalg.norm(to_lamp, axis=-1)
+        cosine = np.einsum("pli,pi->pl", to_lamp, truth["normal"][forehead].astype(float)) / distance
+        drive = weights(name, ideal)
+        light = np.sum(drive * np.clip(cosine, 0, None) * (790 / distance) ** 2, axis=1)
+        expected = exposure * truth["albedo"][forehead] / 2 * light
+        response = (sensor[1] - sensor[0])[forehead] / (0.7 * 1007)
+        counts = (picture(fast, f"{frame:04d}_{name}_0nm_CAM1") - sensor[0])[forehead] / response
+        ratio.append(np.sum(counts) / np.sum(expected))
+    assert ratio[0] == pytest.approx(1, abs=0.03)
+    np.testing.assert_allclose(ratio, ratio[0], atol=0.006)
 
 
 def test_hidden_skin_is_not_visible(fast: Path) -> None:
