@@ -247,8 +247,8 @@ def test_skin_and_relief_move_with_the_flow(fast: Path) -> None:
 def test_the_lamps_stay_where_they_are_when_the_head_turns(fast: Path) -> None:
     """The forehead against Lambert's law summed over the lamps in the world's frame.
 
-    Only its own relief shades it a little, at rest (the first picture) as in motion. Lamps that turned with the head
-    would be off by 0.01 (Y) and 0.024 (Xc).
+    Only its own relief shades it a little, at rest (the first picture) as in motion. Lamps that turned with the
+    head would be off by 0.01 (Y) and 0.024 (Xc).
     """
     camera = yaml.safe_load((fast / "calibration" / "camera.yaml").read_text())
     k = np.array(camera["K"])
