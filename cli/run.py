@@ -186,6 +186,9 @@ def _say_skipped(state: "State", screen: Screen) -> None:
             screen.warn(f"{name} was not computed: each of its blocks needs frames outside {first}:{last}")
 
 
+_MOST_WARNINGS = 12
+
+
 def _tell(
     answer: Mapping[str, Any],
     store: Store,
@@ -219,6 +222,13 @@ def _tell(
                         f"{node['name']}: the norm does not tell the distance in every tracking frame; the stage's "
                         "centre was taken there, so check the lights and camera items"
                     )
+                continue
+            if key == "warnings":
+                for sentence in value[:_MOST_WARNINGS]:
+                    screen.warn(f"{node['name']}: {sentence}")
+                if len(value) > _MOST_WARNINGS:
+                    more = len(value) - _MOST_WARNINGS
+                    screen.warn(f"{node['name']}: and {more} more; they stand in the result's attributes")
                 continue
             shown = f"{value:.1f}" if isinstance(value, float) else value
             screen.say(f"{node['name']}: {key.replace('_', ' ')}: {shown}")

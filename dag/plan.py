@@ -331,6 +331,7 @@ def _reads(
     reads: dict[str, tuple[Piece, ...]] = {}
     for name, spec in node.stage.inputs.items():
         upper = above[spec.source]
+        spec = spec.of(upper.node.stage.outputs)
         if spec.array not in upper.arrays:
             raise StageError(f"{upper.node.name} makes no '{spec.array}' with its parameters; it is needed here")
         array = upper.arrays[spec.array]

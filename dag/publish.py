@@ -106,6 +106,9 @@ def result_attrs(state: State, node: NodeState) -> dict[str, Any]:
     names = sorted({name for record in chosen for name in record.stats})
     stats = {name: float(np.mean([record.stats[name] for record in chosen])) for name in names}
     attrs = {**{k: v for k, v in plan.grid.attrs.items() if v != ""}, **stats}
+    warnings = [sentence for record in chosen for sentence in record.warnings]
+    if warnings:
+        attrs["warnings"] = list(dict.fromkeys(warnings))
     if plan.absent:
         needs = plan.node.stage.calibration
         attrs["calibration_absent"] = "; ".join(f"{kind}: {needs[kind].why}" for kind in plan.absent)

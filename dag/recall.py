@@ -20,7 +20,7 @@ PACKAGES = ("stages", "hw", "dag", "store")
 _LIBRARIES = ("numpy", "numba", "opencv_contrib_python_headless", "scipy", "scikit_image")
 
 
-_SAID = ("method", "note", "cannot_be_made", "distance_mm", "distance_found")
+_SAID = ("method", "engine", "note", "cannot_be_made", "distance_mm", "distance_found", "warnings")
 """What of a result's attributes a run tells."""
 
 

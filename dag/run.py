@@ -122,11 +122,12 @@ def execute(task: BlockTask, *above: BlockRecord) -> BlockRecord:
         outputs = _call_kernel(task, stage, refs, store)
     except StageError as error:
         raise WorkError(f"{task.node}, {task.block}: {error}") from error
-    written, stats = _write(task, outputs, store)
+    written, stats, warnings = _write(task, outputs, store)
     record = BlockRecord(
         key=key,
         outputs=written,
         stats=stats,
+        warnings=warnings,
         trace={"stage": task.stage_key, "context": task.context_digest, "reads": values},
         seconds=time.perf_counter() - began,
         reused=False,
@@ -193,7 +194,7 @@ class Pieces(Sequence[NDArray[Any]]):
 
 def _write(
     task: BlockTask, outputs: Mapping[str, Any], store: Store
-) -> tuple[dict[str, tuple[ChunkRef, ...]], dict[str, float]]:
+) -> tuple[dict[str, tuple[ChunkRef, ...]], dict[str, float], tuple[str, ...]]:
     written: dict[str, tuple[ChunkRef, ...]] = {}
     for name, (dtype, chunk, shape) in task.arrays.items():
         array = np.asarray(outputs[name])
@@ -204,7 +205,7 @@ def _write(
             )
         written[name] = tuple(store.chunks.put(part) for part in array.reshape(-1, *chunk))
     stats = {name: float(value) for name, value in outputs.get("stats", {}).items()}
-    return written, stats
+    return written, stats, tuple(outputs.get("warnings", ()))
 
 
 _MOST_PREPARED = 8  # a camera pair's dark, gain and map are 32 MB at 1624 x 1236

@@ -11,7 +11,7 @@ index; every other dimension is whole within a task. How a block maps to its inp
             sub-sequence of one tracking frame (`Stage.groups` chooses)
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -54,6 +54,12 @@ class Input:
     how: Literal["each", "group"] = "each"
     source: int = 0
     """Which of the nodes in `from`."""
+    instead: "Input | None" = None
+    """What is read where the node above puts out no such array."""
+
+    def of(self, arrays: Collection[str]) -> "Input":
+        """This input, or the one instead, whichever the arrays of the node above hold."""
+        return self.instead if self.instead is not None and self.array not in arrays else self
 
 
 @dataclass(frozen=True)
@@ -141,7 +147,8 @@ class Stage:
     is passed as it is.
 
     kernel(**inputs, **prepared, **parameters) returns a mapping of output arrays, and may add `stats`, a
-    mapping of numbers that are averaged into the result's attributes.
+    mapping of numbers that are averaged into the result's attributes, and `warnings`, sentences that whoever runs
+    it should read.
     """
 
     name: str

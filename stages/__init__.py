@@ -4,6 +4,11 @@ A stage is a pure kernel on numpy arrays plus what it reads and its parameters (
 is adding a file, a line here, and its name in `pipeline.yaml`. Modules that are not in the table are kernels
 that a stage calls; they count in its key.
 
+    joint_flow.py            the motion of a subject under changing light, all pictures of a window at once
+    picture_flow.py          the same by flows between two pictures at a time, for reference
+    flow_warp.py             what flows do to pictures: warping, and the inverse of a flow
+    in_between.py            normals between tracking frames
+    picture_sets.py          which pictures belong together: sets and windows
     spherical_gradients.py   fused per-pixel kernels of the gradient methods
     one_light.py             photometric stereo from one light at a time
     band_fusion.py           one picture from all bands, weighted by noise
@@ -26,7 +31,9 @@ TABLE: Mapping[str, str] = {
     "register": "stages.register",
     "split": "stages.split",
     "stack": "stages.stack",
+    "align": "stages.align",
     "normals": "stages.normals",
+    "upsample": "stages.upsample",
     **{
         name: f"stages.calibration.{name}"
         for name in (

@@ -9,18 +9,17 @@ distant; `near`, `near+shadows` and `full` (with bounced light) find depth and v
 normals (`rig_normals.py`, `self_consistent.py`) and give them as results of their own.
 
 A static capture gives one normal map. A performance gives one at every tracking frame (C) whose window,
-between the tracking frames before and after it, holds a full set; the pictures of the set are used as they
-are, without alignment.
+between the tracking frames before and after it, holds a full set. It reads the aligned pictures, or, from `stack`,
+the pictures as they are.
 
-Must have run before: stack. Limits: without `correct` lights are taken as distant and unoccluded, so near
+Must have run before: align or stack. Limits: without `correct` lights are taken as distant and unoccluded, so near
 light, shadows and inter-reflection stay in the result (docs/accuracy.md measures them).
 
 Sources: Ma et al. (2007), Wilson et al. (2010), Dutta (2010) chapter 3, Woodham (1980).
 """
 
-import contextlib
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -31,8 +30,9 @@ from dag.stage import Arrangement, Grid, Group, Input, Items, Needs, Output, Par
 from stages import one_light, rig_normals, spherical_gradients
 from stages.band_fusion import fuse as fuse_bands
 from stages.normal_filter import non_local_means
+from stages.picture_sets import Choice, Window, choose, chosen_sets, windows
 from stages.rig_normals import RIG_MODELS, VISIBILITY_STEPS
-from stages.spherical_gradients import AXES, FILL, GRADIENTS, STEPS, table
+from stages.spherical_gradients import FILL, STEPS, table
 
 
 class NormalsParams(Params):
@@ -56,88 +56,6 @@ class NormalsParams(Params):
     )
     component: Literal["diffuse", "specular"] = Field("diffuse", description="which light the pictures show")
     fuse: Literal["none", "bands"] = Field("none", description="bands: one map from all bands, weighted by noise")
-
-
-_BY_NOISE = ("difference", "minimal", "ratio", "least_squares")
-
-
-class Choice(NamedTuple):
-    """A method and the pictures that it reads."""
-
-    method: str
-    base: str
-    pictures: tuple[str, ...]
-
-
-def choose(have: Sequence[str], *, method: str = "auto", base: str = "auto", correct: str = "none") -> Choice:
-    """The method for a set of illuminations.
-
-    `auto` takes difference, then minimal, then ratio, then least squares: by noise (shot variance per axis
-    4 r_c : 4 r_a + r_c : ...; design 8), the first that the set supports.
-
-    Raises:
-        StageError: the set does not support what was asked for; says what is missing and what would work.
-    """
-    present = set(have)
-    if base != "auto" and method not in ("auto", "minimal"):
-        raise StageError(f"base: {base} belongs to method: minimal; {method} has none, so set base: auto")
-    if base != "auto":
-        method = "minimal"
-    lights = tuple(name for name in dict.fromkeys(have) if name.startswith("L"))
-    supported = [name for name in _BY_NOISE if _supports(name, base, present)]
-    chosen = (supported[0] if supported else None) if method == "auto" else method
-    if chosen not in supported:
-        works = f"method: {' or '.join(supported)} would work" if supported else "no method works with these"
-        what = "any method" if method == "auto" else method + (f" with base {base}" if base != "auto" else "")
-        raise StageError(
-            f"{what} needs {_needs(method, base)}; the session has {', '.join(dict.fromkeys(have))}; {works}"
-        )
-    if chosen == "least_squares":
-        if correct != "none":
-            raise StageError(
-                f"correct: {correct} belongs to the gradient methods; with least_squares set correct: none"
-            )
-        return Choice(chosen, "", lights)
-    axis = (
-        next(a for a in AXES if base in ("auto", a) and _supports("minimal", a, present))
-        if chosen == "minimal"
-        else ""
-    )
-    missing = [name for name in (*GRADIENTS, "C") if name not in present]
-    if correct == "qp" and missing:
-        raise StageError(
-            f"correct: qp needs {', '.join((*GRADIENTS, 'C'))}; {', '.join(missing)} missing; "
-            f"correct: none works with {chosen}"
-        )
-    wanted = table(str(chosen), axis, have, qp=correct == "qp").pictures
-    return Choice(str(chosen), axis, wanted)
-
-
-def _supports(method: str, base: str, present: set[str]) -> bool:
-    if method == "least_squares":
-        return sum(name.startswith("L") for name in present) >= 3
-    if method == "difference":
-        return present >= set(GRADIENTS)
-    if method == "ratio":
-        return present >= {"X", "Y", "Z", "C"}
-    axes = AXES if base == "auto" else base
-    return any(
-        {a, a + "c"} <= present and all(b in present or b + "c" in present for b in AXES if b != a) for a in axes
-    )
-
-
-def _needs(method: str, base: str) -> str:
-    pair = "the pair of one axis (X Xc, Y Yc or Z Zc)" if base == "auto" else f"{base} and {base}c"
-    minimal = f"{pair} and one gradient of each other axis"
-    needs = {
-        "ratio": "X Y Z C",
-        "difference": "X Y Z Xc Yc Zc",
-        "minimal": minimal,
-        "least_squares": "at least three one-light pictures (L00 ...)",
-    }
-    if method == "auto":
-        return "; or ".join(needs.values())
-    return needs[method]
 
 
 def normals(
@@ -336,41 +254,50 @@ def _prepare(
     }
 
 
-def _sets(
-    illumination: Sequence[str], performance: bool, params: NormalsParams
-) -> list[tuple[int, Choice, dict[str, int]]]:
-    """Per tracking frame: its place, the method, and where each picture is."""
+Places = dict[str, dict[str, int]]
+"""Illumination -> where its picture is in the node above: dimension -> index."""
+
+
+def _sets(above: Grid, facts: Mapping[str, Any], params: NormalsParams) -> list[tuple[int, Choice, Places]]:
+    """Per tracking frame: its index in the session, the method, and where each picture is."""
     ask = {"method": params.method, "base": params.base, "correct": params.correct}
-    if not performance:
-        choice = choose(illumination, **ask)
-        place = {name: i for i, name in enumerate(illumination)}
-        return [(place.get("C", 0), choice, place)]
-    tracking = [i for i, name in enumerate(illumination) if name == "C"]
-    found: list[tuple[int, Choice, dict[str, int]]] = []
-    windows: list[list[str]] = []
-    for k, frame in enumerate(tracking):
-        first = tracking[k - 1] + 1 if k else 0
-        last = tracking[k + 1] if k + 1 < len(tracking) else len(illumination)
-        at: dict[str, int] = {}
-        for i in sorted(range(first, last), key=lambda i: abs(i - frame)):
-            at.setdefault(illumination[i], i)
-        windows.append(list(at))
-        with contextlib.suppress(StageError):
-            found.append((frame, choose(list(at), **ask), at))
-    if not found:
-        works = [m for m in _BY_NOISE if any(_supports(m, "auto", set(window)) for window in windows)]
-        hint = f"method: {' or '.join(works)} with base: auto would work" if works else "no method works with these"
-        raise StageError(
-            f"{params.method} needs {_needs(params.method, params.base)} between the tracking frames (C) before "
-            f"and after one; the session has {' '.join(illumination[:24])} ({len(illumination)} frames); {hint}"
-        )
-    return found
+    if facts["frame_rate_hz"] is None:
+        if "member" in above.sizes:
+            have = list(above.along("illumination")[0])
+            place = {name: {"tracking": 0, "member": i} for i, name in enumerate(have)}
+            frame = above.along("tracking")[0]
+        else:
+            have = list(above.along("illumination"))
+            place = {name: {"illumination": i} for i, name in enumerate(have)}
+            frame = above.along("frame")[have.index("C") if "C" in have else 0]
+        return [(frame, choose(have, **ask), place)]
+    if "member" in above.sizes:
+        where, candidates = {}, []
+        rows = zip(above.along("tracking"), above.along("frame"), above.along("illumination"), strict=True)
+        for k, (tracking, frames, names) in enumerate(rows):
+            at = {name: m for m, name in enumerate(names) if name not in ("", "C") or frames[m] == tracking}
+            at.pop("", None)
+            candidates.append(Window(tracking, at))
+            where[tracking] = {name: {"tracking": k, "member": m} for name, m in at.items()}
+    else:
+        candidates = windows(list(above.along("illumination")))
+        where = {w.frame: {name: {"frame": i} for name, i in w.at.items()} for w in candidates}
+    names = (
+        [name for window in candidates for name in window.at]
+        if "member" in above.sizes
+        else list(above.along("illumination"))
+    )
+    whole = f"{' '.join(names[:24])} ({len(names)} pictures)"
+    sets = chosen_sets(candidates, **ask, whole=whole)
+    return [(window.frame, choice, where[window.frame]) for window, choice in sets]
+
+
+def _frames(above: Grid) -> Sequence[int]:
+    return list(above.along("tracking" if "member" in above.sizes else "frame"))
 
 
 def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: NormalsParams) -> Arrangement:
     (stacked,) = grids
-    performance = "frame" in stacked.sizes
-    dim = "frame" if performance else "illumination"
     components = list(stacked.along("component"))
     notes: dict[str, Any] = {}
     component: str = params.component
@@ -380,7 +307,7 @@ def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: NormalsPar
             raise StageError(f"component: {component} is not in this session ({why})")
         component = "total"
         notes["note"] = "the capture cannot be split: normals are of the total light"
-    sets = _sets(list(stacked.along("illumination")), performance, params)
+    sets = _sets(stacked, facts, params)
     bands = list(stacked.along("band"))
     fused = params.fuse == "bands" and len(bands) > 1
     modelled = params.correct in RIG_MODELS
@@ -389,9 +316,6 @@ def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: NormalsPar
     if params.filter == "surface" and params.correct not in RIG_MODELS[1:]:
         raise StageError("filter: surface needs a depth; set correct: near, near+shadows or full")
     height, width = stacked.sizes["y"], stacked.sizes["x"]
-    frame_of = list(stacked.along("frame"))
-    if performance:
-        times = [stacked.along("time_s")[frame] for frame, _, _ in sets]
     groups = []
     for _, choice, place in sets:
         if component == "specular" and choice.method == "least_squares":
@@ -399,9 +323,9 @@ def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: NormalsPar
         for b in [list(range(len(bands)))] if fused or modelled else [[b] for b in range(len(bands))]:
             extra = component == "specular" and "C" in place
             seen = components.index(component)
-            pieces = [{dim: place[name], "band": i, "component": seen} for i in b for name in choice.pictures]
+            pieces = [{**place[name], "band": i, "component": seen} for i in b for name in choice.pictures]
             if extra:
-                pieces += [{dim: place["C"], "band": i, "component": components.index("diffuse")} for i in b]
+                pieces += [{**place["C"], "band": i, "component": components.index("diffuse")} for i in b]
             groups.append(
                 Group(
                     {"radiance": pieces},
@@ -415,7 +339,7 @@ def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: NormalsPar
             )
     sizes = {"tracking": len(sets), "band": 1 if fused else len(bands), "xyz": 3, "y": height, "x": width}
     labels: dict[str, tuple[tuple[str, ...], Sequence[Any]]] = {
-        "tracking": (("tracking",), [frame_of[frame] for frame, _, _ in sets]),
+        "tracking": (("tracking",), [frame for frame, _, _ in sets]),
         "band": (("band",), [0.0] if fused else bands),
         "xyz": (("xyz",), list("xyz")),
     }
@@ -426,8 +350,9 @@ def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: NormalsPar
         outputs |= {"visibility"}
         sizes["light"] = len(facts["light_ids"])
         labels["light"] = (("light",), facts["light_ids"])
-    if performance:
-        labels["time_s"] = (("tracking",), times)
+    if "time_s" in stacked.labels:
+        when = dict(zip(_frames(stacked), stacked.along("time_s"), strict=True))
+        labels["time_s"] = (("tracking",), [when[frame] for frame, _, _ in sets])
     used = sorted({choice.method for _, choice, _ in sets})
     attrs = {
         "method": ", ".join(used),
@@ -442,7 +367,7 @@ def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: NormalsPar
     return Arrangement(
         Grid(sizes, labels, attrs),
         tuple(groups),
-        {"illumination|frame": dim},
+        {},
         ("tracking",) if modelled else None,  # one geometry for all bands
         frozenset(outputs),
     )
@@ -453,7 +378,14 @@ STAGE = Stage(
     version=1,
     summary="surface normals",
     params=NormalsParams,
-    inputs={"radiance": Input("radiance", ("illumination|frame", "band", "component", "y", "x"), "group")},
+    inputs={
+        "radiance": Input(
+            "aligned",
+            ("tracking", "member", "band", "component", "y", "x"),
+            "group",
+            instead=Input("radiance", ("illumination|frame", "band", "component", "y", "x"), "group"),
+        )
+    },
     calibration={
         "camera": Needs(
             why="specular normals take (0, 0, 1) as the view direction everywhere; no depth can be estimated"

@@ -29,6 +29,8 @@ class BlockRecord:
     key: str
     outputs: Mapping[str, tuple[ChunkRef, ...]]
     stats: Mapping[str, float] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+    """What whoever runs it should read, a sentence each."""
     trace: Mapping[str, Any] = field(default_factory=dict)
     seconds: float = 0.0
     reused: bool = field(default=True, compare=False)
@@ -49,6 +51,7 @@ class BlockRecord:
             "key": self.key,
             "outputs": {name: [ref.as_plain() for ref in refs] for name, refs in self.outputs.items()},
             "stats": dict(self.stats),
+            "warnings": list(self.warnings),
             "trace": dict(self.trace),
             "seconds": self.seconds,
         }
@@ -62,6 +65,7 @@ class BlockRecord:
                 name: tuple(ChunkRef.from_plain(ref) for ref in refs) for name, refs in plain["outputs"].items()
             },
             stats=plain["stats"],
+            warnings=tuple(plain.get("warnings", ())),
             trace=plain["trace"],
             seconds=plain["seconds"],
         )

@@ -43,7 +43,9 @@ def ball(lightstage: Lightstage, sphere: Path) -> Path:
         "register": 7,
         "split": 7,
         "stack": 7,
+        "align": 1,
         "normals": 1,
+        "upsample": 1,
     }
     return sphere
 
@@ -66,7 +68,7 @@ def test_a_changed_parameter_costs_its_node_and_setting_it_back_costs_nothing(
     lightstage: Lightstage, ball: Path
 ) -> None:
     first = lightstage("path", "normals", "--session", "ball").out
-    assert run(lightstage, "--set", "normals.method=ratio") == {"normals": 1}
+    assert run(lightstage, "--set", "normals.method=ratio") == {"normals": 1, "upsample": 1}
     assert lightstage("path", "normals", "--session", "ball").out != first
     assert run(lightstage) == {}
     assert lightstage("path", "normals", "--session", "ball").out == first
@@ -76,14 +78,14 @@ def test_a_changed_parameter_costs_its_node_and_setting_it_back_costs_nothing(
 def test_one_changed_picture_costs_its_dependants(lightstage: Lightstage, ball: Path) -> None:
     change_picture(ball, "0004_Xc_576nm_CAM1.png")
     lightstage("import", ball)
-    assert run(lightstage) == {"register": 1, "split": 1, "stack": 1, "normals": 1}
+    assert run(lightstage) == {"register": 1, "split": 1, "stack": 1, "align": 1, "normals": 1, "upsample": 1}
 
 
 def test_equal_output_stops_the_cascade_in_the_same_run(lightstage: Lightstage, ball: Path) -> None:
     """Normals of the diffuse component do not read the parallel camera's picture."""
     change_picture(ball, "0004_Xc_576nm_CAM0.png")
     lightstage("import", ball)
-    assert run(lightstage) == {"register": 1, "split": 1, "stack": 1}
+    assert run(lightstage) == {"register": 1, "split": 1, "stack": 1, "align": 1}
 
 
 def test_a_first_stage_that_ran_again_with_identical_output_computes_nothing_below(
@@ -106,7 +108,12 @@ def test_a_changed_homography_runs_register_again_and_an_equal_one_does_not(
     assert run(lightstage, "--calibration", f"homography={item}") == {}
     item.write_text("item: homography\nfrom: CAM0\nto: CAM1\nmatrix: [[1, 0, -1.5], [0, 1, 0], [0, 0, 1]]\n")
     # all of register; the diffuse chunks come out equal, but each split block also reads the other camera
-    assert run(lightstage, "--calibration", f"homography={item}") == {"register": 7, "split": 7, "stack": 7}
+    assert run(lightstage, "--calibration", f"homography={item}") == {
+        "register": 7,
+        "split": 7,
+        "stack": 7,
+        "align": 1,
+    }
     assert run(lightstage) == {}
 
 
@@ -124,7 +131,9 @@ def test_a_preview_is_reused_by_the_full_run(lightstage: Lightstage, sphere: Pat
         "register": "partial",
         "split": "partial",
         "stack": "partial",
+        "align": "missing",
         "normals": "missing",
+        "upsample": "missing",
     }
     assert counts(lightstage("run", "--session", "ball", "--json"))["register"] == (4, 3)
 
@@ -206,7 +215,7 @@ def test_killed_at_random_moments_and_run_again_it_is_as_if_undisturbed(tmp_path
     opened.scratch.leave()
     undisturbed = shutil.copytree(imported, tmp_path / "undisturbed", symlinks=True)
     assert run_process("run", "--session", "s", store=undisturbed).returncode == 0
-    total = 3 * 21 + 3
+    total = 3 * 21 + 1 + 3 + 1
     generator = random.Random(5)
     for i in range(10):
         store = shutil.copytree(imported, tmp_path / f"killed{i}", symlinks=True)
@@ -293,7 +302,8 @@ def test_a_damaged_result_is_found_quarantined_and_made_again(
     (damage,) = verified.json["damaged"]
     assert "ball/stack, array radiance, chunk 2/0/0/0/0" in damage["belongs_to"]
     assert len(list((store / "quarantine").iterdir())) == 1
-    assert run(lightstage) == {"stack": 1}
+    # the unmoved picture is the same blob
+    assert run(lightstage) == {"stack": 1, "align": 1}
     assert victim.read_bytes() == good
     assert lightstage("verify").code == 0
 
@@ -321,7 +331,7 @@ def test_damage_met_on_the_way_is_healed_in_the_same_run(
     with open(victim, "r+b") as file:
         file.write(data)
     done = lightstage("run", "--session", "ball", "--json", "--set", "normals.method=ratio")
-    assert computed(done) == {"stack": 1, "normals": 1}
+    assert computed(done) == {"stack": 1, "align": 1, "normals": 1, "upsample": 1}
     assert "was damaged: ball/stack" in done.err
 
 
@@ -348,13 +358,13 @@ def test_gc_frees_what_nothing_uses_and_nothing_else(lightstage: Lightstage, bal
     run(lightstage)
     assert lightstage("gc", "--json").json["bytes"] == 0  # all of it is younger than the grace period
     dry = lightstage("gc", "--grace", "0s", "--dry-run", "--json").json
-    assert dry["results"] == 1
+    assert dry["results"] == 2
     assert dry["bytes"] > 0
     freed = lightstage("gc", "--grace", "0s", "--json").json
     assert freed["bytes"] == dry["bytes"]
     assert lightstage("verify").code == 0
     assert run(lightstage) == {}
-    assert run(lightstage, "--set", "normals.method=ratio") == {"normals": 1}
+    assert run(lightstage, "--set", "normals.method=ratio") == {"normals": 1, "upsample": 1}
 
 
 def test_a_kernels_refusal_names_node_and_block(
@@ -463,7 +473,7 @@ def test_many_damaged_chunks_are_healed_at_once(lightstage: Lightstage, ball: Pa
     assert lightstage("verify").code == 1
     flip(result(lightstage, "register") / "signal" / "c" / "1" / "0" / "1" / "0" / "0")
     assert lightstage("verify").code == 1
-    assert run(lightstage) == {"register": 1, "stack": 1}
+    assert run(lightstage) == {"register": 1, "stack": 1, "align": 1}
 
 
 def test_a_lost_cache_does_not_cost_the_raw_pictures(lightstage: Lightstage, ball: Path, tmp_path: Path) -> None:
@@ -473,7 +483,7 @@ def test_a_lost_cache_does_not_cost_the_raw_pictures(lightstage: Lightstage, bal
     assert verified.code == 1
     raw = read_session("ball", Store(tmp_path / "store"))
     assert all(Store(tmp_path / "store").chunks.intact(ref) for ref in raw.refs())
-    assert sum(run(lightstage).values()) == 22
+    assert sum(run(lightstage).values()) == 24
     assert lightstage("verify").code == 0
 
 

@@ -1,0 +1,504 @@
+"""align: the pictures of a tracking frame's set, brought to the tracking frame.
+
+A face cannot hold still. For each tracking frame c (constant light) this finds the flow u_i of every picture p_i
+of its set, on the tracking frame's grid, so that p_i(x + u_i(x)) shows what c(x) shows; for a gradient and its
+complement that is
+
+    r_a(x + u) + r_a'(x + v) = c(x) .
+
+Engines:
+
+    motion       one motion for all pictures of the window and the tracking frames before and after it
+                 (`joint_flow.follow`); the default for performances
+    joint        both flows of a pair in one solve (`joint_flow.joint`)
+    alternating  Wilson's: one flow, then the other, in turn (`picture_flow.alternating`); the thesis' reference
+    direct       each picture to c, after both are divided by their local mean (`picture_flow.direct`)
+    none         flows of zero: the pictures as they are; the default for static captures
+
+Under `joint` and `alternating` a picture without its complement in the set (the middle frames of the minimal
+sequence) takes the part of a pair's flow that its time gives, `middle: half` (the thesis), or a short solve of its
+own that starts there, `middle: refine`.
+
+Confidence is 1 / (1 + d^2) with d the predicted error of the flow in pixels, so below a half the flow is likely
+wrong by more than a pixel; and less where the pictures contradict each other. It is 0 where a point is hidden, out
+of the picture, or the picture does not belong to the set at all (black, repeated, mislabelled, another scene): such
+a picture is named, and is NaN in `aligned`. Residuals are no measure of quality: flows that are wrong can have a
+smaller one than the true flow.
+
+Must have run before: stack. Limits: motion within a window is taken as smooth in time (a cubic).
+
+Sources: Wilson et al. (2010), ACM TOG 29(2); Dutta (2010) chapters 4 and 5; and `joint_flow.py`.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from dag.stage import Arrangement, Grid, Group, Input, Items, Output, Params, Stage, StageError
+from stages import joint_flow, picture_flow
+from stages.band_fusion import noise_model
+from stages.flow_warp import invert, warp
+from stages.picture_sets import Window, chosen_sets, pairs, picture_times, windows
+
+Image = NDArray[np.float32]
+Engine = Literal["auto", "motion", "joint", "alternating", "direct", "none"]
+LOST = 0.02
+"""Confidence below which an aligned picture is NaN."""
+_DOUBTED = 0.05
+"""The least confidence that doubt alone leaves: a flow that may be wrong is not a point that is hidden."""
+_MISFIT = 0.15
+"""Relative violation of the complement constraint, over a few pixels, that halves confidence. A head that turns by
+some degrees within a window stays below it; a hand, or another picture, does not."""
+_BLACK = 0.04
+"""Of the tracking frame's mean: a gradient picture has a sixth of it at least, from where a face looks."""
+_CONSTANT = 0.93
+"""Of the tracking frame: a gradient picture has five sixths at most."""
+
+
+class AlignParams(Params):
+    """Parameters of `align`."""
+
+    engine: Engine = Field("auto", description="auto: motion for a performance, none for a static capture")
+    flow: Literal["dis", "tvl1", "farneback"] = Field("dis", description="the flow that engine: alternating uses")
+    iterations: int = Field(4, ge=1, le=100, description="of engine: alternating")
+    middle: Literal["half", "refine"] = Field(
+        "refine",
+        description="pictures without a complement, under joint and alternating: a part of a pair's flow, or a "
+        "short solve of their own from there",
+    )
+
+
+def align(
+    radiance: Sequence[Image],
+    *,
+    names: Sequence[str],
+    frames: Sequence[int],
+    times: Sequence[float],
+    around: Sequence[float],
+    bands: int,
+    engine: str,
+    apart: bool,
+    flow: picture_flow.Method,
+    iterations: int,
+    middle: str,
+) -> Mapping[str, Any]:
+    """Align the set of one tracking frame.
+
+    Args:
+        radiance: pictures (component, y, x), NaN where not valid: for each member its bands, then for each tracking
+            frame around (before, after) its bands.
+        names: illumination of each member; "" for a place that this set does not fill. frames: their indices.
+        times: of the members, the tracking frame at 0. around: of the tracking frames around.
+        bands: how many.
+        engine, flow, iterations, middle: see AlignParams.
+        apart: the block is one picture that is not moved; its results lack the dimension member.
+
+    Returns:
+        `flow` (member, xy, y, x), pixels: aligned(x) = member(x + flow(x)); `aligned` (member, band, component, y,
+        x), NaN where not known; `confidence` (member, y, x), 0 to 1; `residual` (y, x), the mean over the set's
+        pairs of |r_a + r_a' - c| after alignment, over bands, in radiance of the first component. `stats` has
+        its mean before and after alignment, relative to c. `warnings` name pictures that do not belong to the set.
+    """
+    count = len(names)
+    own: list[list[Image]] = [
+        [radiance[m * bands + b] for b in range(bands)] if names[m] else [] for m in range(count)
+    ]
+    others = [[radiance[(count + k) * bands + b] for b in range(bands)] for k in range(len(around))]
+    if apart:
+        return _unmoved(np.stack(own[0]))
+    real = [m for m in range(count) if names[m]]
+    here = next((m for m in real if names[m] == "C" and times[m] == 0), real[0])
+    pictures = _one_band([own[m] for m in real] + others, [names[m] for m in real])
+    member = dict(zip(real, pictures, strict=False))
+    shape = member[here].shape
+    flow_of = {m: np.zeros((2, *shape), np.float32) for m in real}
+    confidence = {m: np.isfinite(member[m]).astype(np.float32) for m in real}
+    warnings: list[str] = []
+    if engine != "none":
+        called = {m: f"frame {frames[m]} ({names[m]})" for m in real}
+        bad, warnings = _misplaced(member, called, names, here)
+        steady = [
+            (time, picture)
+            for time, picture in zip(around, pictures[len(real) :], strict=True)
+            if _same_scene(picture, member[here])
+        ]
+        whole = {m: member[m] for m in real if m != here and m not in bad}
+        found = _flows(
+            member[here],
+            whole,
+            names,
+            times,
+            steady,
+            engine=engine,
+            flow=flow,
+            iterations=iterations,
+            middle=middle,
+        )
+        for m, (u, doubt) in found.items():
+            flow_of[m] = u
+            confidence[m] = np.maximum(np.float32(1) / (np.float32(1) + doubt * doubt), np.float32(_DOUBTED))
+        more = _contradicted(
+            member[here], {m: warp(member[m], flow_of[m]) for m in found}, confidence, names, called
+        )
+        warnings += more[1]
+        for m in found:
+            confidence[m] *= _seen(flow_of[m])
+        for m in bad | more[0]:
+            confidence[m][:] = 0
+            flow_of[m] = np.full((2, *shape), np.nan, np.float32)
+    components = own[real[0]][0].shape[0]
+    aligned = np.full((count, bands, components, *shape), np.nan, np.float32)
+    out = {
+        "flow": np.full((count, 2, *shape), np.nan, np.float32),
+        "aligned": aligned,
+        "confidence": np.zeros((count, *shape), np.float32),
+    }
+    for m in real:
+        out["flow"][m] = flow_of[m]
+        for b in range(bands):
+            still = m == here or engine == "none"
+            aligned[m, b] = own[m][b] if still else warp(own[m][b], flow_of[m])
+            if engine != "none":
+                aligned[m, b][:, confidence[m] <= LOST] = np.nan
+        known = np.isfinite(aligned[m]).any(axis=(0, 1))
+        out["confidence"][m] = np.where(known, confidence[m], np.float32(0))
+    out["residual"], stats = _residual(own, aligned, names, here)
+    return {**out, "stats": stats, "warnings": warnings}
+
+
+def _unmoved(picture: Image) -> Mapping[str, Any]:
+    """One picture (band, component, y, x) of a still subject, as a block of its own."""
+    shape = picture.shape[2:]
+    seen = np.isfinite(picture).any(axis=(0, 1)).astype(np.float32)
+    return {"flow": np.zeros((2, *shape), np.float32), "aligned": picture, "confidence": seen}
+
+
+def _one_band(pictures: Sequence[Sequence[Image]], names: Sequence[str]) -> list[Image]:
+    """The first component of each picture, the mean over its bands by their signal to noise."""
+    first = [[band[0] for band in picture] for picture in pictures]
+    if len(first[0]) == 1:
+        return [picture[0] for picture in first]
+    weights = []
+    for b in range(len(first[0])):
+        by_name = {name: picture[b] for name, picture in zip(names, first, strict=False)}
+        alpha, beta = noise_model(by_name)
+        level = float(np.nanmedian(by_name["C"])) if "C" in by_name else float(np.nanmedian(first[0][b]))
+        weights.append(max(level, 0.0) / (alpha + beta * max(level, 0.0) + 1e-30))
+    share = np.asarray(weights, np.float32) / np.float32(max(sum(weights), 1e-30))
+    return [np.asarray(np.tensordot(share, np.stack(picture), 1), np.float32) for picture in first]
+
+
+def _flows(
+    constant: Image,
+    member: Mapping[int, Image],
+    names: Sequence[str],
+    times: Sequence[float],
+    steady: Sequence[tuple[float, Image]],
+    *,
+    engine: str,
+    flow: picture_flow.Method,
+    iterations: int,
+    middle: str,
+) -> dict[int, tuple[Image, Image]]:
+    """Flow and doubt of each member."""
+    order = list(member)
+    if not order:
+        return {}
+    found: dict[int, tuple[Image, Image]] = {}
+    together = [(order[i], order[j]) for i, j in pairs([names[m] for m in order])]
+    if engine == "motion":
+        follow = joint_flow.follow(
+            constant,
+            [*member.values(), *(picture for _, picture in steady)],
+            times=[*(times[m] for m in order), *(time for time, _ in steady)],
+            steady=[*(names[m] == "C" for m in order), *(True for _ in steady)],
+            pairs=[(order.index(a), order.index(b)) for a, b in together],
+        )
+        return {m: (follow.flow[i], follow.doubt_px[i]) for i, m in enumerate(order)}
+    if engine == "direct":
+        for m in order:
+            u = picture_flow.direct(constant, member[m])
+            found[m] = u, joint_flow.extended(u[None], joint_flow.subject_of(constant))[0]
+        return found
+    for a, b in together:
+        if engine == "joint":
+            both = joint_flow.joint_flows(constant, [member[a], member[b]], times=[times[a], times[b]])
+            found[a], found[b] = (both.flow[0], both.doubt_px[0]), (both.flow[1], both.doubt_px[1])
+        else:
+            made = picture_flow.alternating(constant, member[a], member[b], flow=flow, iterations=iterations)
+            extended = joint_flow.extended(np.stack([made.u, made.v]), joint_flow.subject_of(constant))
+            found[a], found[b] = (made.u, extended[0]), (made.v, extended[1])
+    for m in order:
+        if m in found:
+            continue
+        if names[m] == "C":
+            u = picture_flow.direct(constant, member[m])
+            found[m] = u, joint_flow.extended(u[None], joint_flow.subject_of(constant))[0]
+            continue
+        # of the pair's two flows, the one on the same side in time
+        base = max(
+            (k for pair in together for k in pair),
+            key=lambda k: (times[k] * times[m] > 0, -abs(times[k] - times[m])),
+        )
+        part = np.float32(times[m] / times[base])
+        start = part * found[base][0]
+        if middle == "refine":
+            own = joint_flow.nudge(constant, member[m], start)
+            found[m] = own.flow[0], own.doubt_px[0]
+        else:
+            found[m] = start, abs(part) * found[base][1]
+    return found
+
+
+def _misplaced(
+    member: Mapping[int, Image], called: Mapping[int, str], names: Sequence[str], here: int
+) -> tuple[set[int], list[str]]:
+    """Members that cannot be what they are called, before any alignment."""
+    bad, warnings = set(), []
+    subject = joint_flow.subject_of(member[here])
+    for m, picture in member.items():
+        if m == here or not subject.any():
+            continue
+        part = float(np.nanmean(picture[subject]) / np.nanmean(member[here][subject]))
+        if not part > _BLACK:
+            bad.add(m)
+            warnings.append(f"{called[m]} is black beside {called[here]}; it is left out")
+        elif names[m] != "C" and part > _CONSTANT:
+            bad.add(m)
+            warnings.append(
+                f"{called[m]} is as bright as {called[here]}, so it shows constant light; it is left out (was a "
+                "picture dropped or repeated?)"
+            )
+        for other, before in member.items():
+            if other < m and m not in bad and np.array_equal(picture, before, equal_nan=True):
+                bad.add(m)
+                warnings.append(f"{called[m]} repeats {called[other]}: the same picture twice; it is left out")
+    return bad, warnings
+
+
+def _same_scene(picture: Image, constant: Image) -> bool:
+    """Whether a tracking frame around shows the subject of this one, a little moved."""
+    subject = joint_flow.subject_of(constant) & np.isfinite(picture)
+    if not subject.any():
+        return False
+    a, b = (cv2.GaussianBlur(np.nan_to_num(p), (0, 0), constant.shape[1] / 100) for p in (picture, constant))
+    return bool(np.abs(a - b)[subject].mean() < 0.5 * b[subject].mean())
+
+
+def _contradicted(
+    constant: Image,
+    moved: Mapping[int, Image],
+    confidence: dict[int, Image],
+    names: Sequence[str],
+    called: Mapping[int, str],
+) -> tuple[set[int], list[str]]:
+    """Take confidence from where a pair does not add up to c; name the pairs that nowhere do."""
+    bad: set[int] = set()
+    warnings = []
+    subject = joint_flow.subject_of(constant)
+    order = list(moved)
+    level = _local(np.where(subject, constant, np.float32(0)))
+    for i, j in pairs([names[m] for m in order]):
+        a, b = order[i], order[j]
+        off = np.where(subject, moved[a] + moved[b] - constant, np.float32(0))
+        misfit = np.abs(_local(np.nan_to_num(off))) / np.maximum(level, np.float32(1e-6))
+        typical = float(np.median(misfit[subject])) if subject.any() else 0.0
+        if typical > _MISFIT:
+            bad |= {a, b}
+            warnings.append(
+                f"{called[a]} and {called[b]} are {100 * typical:.0f} % off their sum, the constant picture; they "
+                "are left out (was a picture dropped, repeated or mislabelled, or does the scene change?)"
+            )
+            continue
+        factor = np.float32(1) / (1 + (misfit / np.float32(_MISFIT)) ** 4)
+        confidence[a] *= factor
+        confidence[b] *= factor
+    return bad, warnings
+
+
+def _local(picture: Image) -> Image:
+    return np.asarray(cv2.GaussianBlur(picture, (0, 0), 3.0 * max(1.0, picture.shape[1] / 406)))
+
+
+def _seen(flow: Image) -> Image:
+    """1 where a point is seen in the picture that the flow leads to, 0 where it is hidden or beyond the border."""
+    inverse = invert(flow)
+    back = warp(inverse.flow, flow, interpolation="linear") + flow
+    # wrong by a pixel: another point is there
+    return np.asarray(np.hypot(back[0], back[1]) < 1, np.float32)
+
+
+def _residual(
+    own: Sequence[Sequence[Any]], aligned: Image, names: Sequence[str], here: int
+) -> tuple[Image, dict[str, float]]:
+    """Mean |r_a + r_a' - c| (y, x) over pairs and bands, and its mean relative to c, before and after alignment."""
+    shape = aligned.shape[-2:]
+    together = pairs(list(names))
+    if not together or names[here] != "C":
+        return np.full(shape, np.nan, np.float32), {}
+    after = np.zeros(shape, np.float32)
+    before = np.zeros(shape, np.float32)
+    level = np.zeros(shape, np.float32)
+    for b in range(aligned.shape[1]):
+        constant = own[here][b][0]
+        level += constant * len(together)
+        for i, j in together:
+            before += np.abs(own[i][b][0] + own[j][b][0] - constant)
+            after += np.abs(aligned[i, b, 0] + aligned[j, b, 0] - constant)
+    subject = joint_flow.subject_of(own[here][0][0]) & np.isfinite(before) & np.isfinite(after)
+    stats = {}
+    if subject.any():
+        whole = float(level[subject].mean())
+        stats = {
+            "residual_before": float(before[subject].mean()) / whole,
+            "residual_after": float(after[subject].mean()) / whole,
+        }
+    return after / np.float32(len(together) * aligned.shape[1]), stats
+
+
+def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: AlignParams) -> Arrangement:
+    (stacked,) = grids
+    performance = "frame" in stacked.sizes
+    dim = "frame" if performance else "illumination"
+    names, frames = list(stacked.along("illumination")), list(stacked.along("frame"))
+    engine = params.engine if params.engine != "auto" else ("motion" if performance else "none")
+    taken = picture_times(facts)
+    when = [taken[frame] for frame in frames]
+    sets = _sets(names, performance, engine)
+    bands = stacked.sizes["band"]
+    together = all(pairs(list(window.at)) and "C" in window.at for window in sets)
+    apart = engine == "none" and not performance and not together
+    places = [sorted(window.at.values()) for window in sets]
+    if performance:
+        places = _with_lacking(places, [window.frame for window in sets], names)
+    most = max(len(at) for at in places)
+    groups = []
+    for window, at in zip(sets, places, strict=True):
+        fill = [*at, *[-1] * (most - len(at))]
+        near = [i for i in _beside(window.frame, names) if i not in at] if engine == "motion" else []
+        now = when[window.frame]
+        told: dict[str, Any] = {
+            "names": [names[i] if i >= 0 else "" for i in fill],
+            "frames": [frames[i] if i >= 0 else -1 for i in fill],
+            "times": [when[i] - now if i >= 0 else 0.0 for i in fill],
+            "around": [when[i] - now for i in near],
+            "bands": bands,
+            "engine": engine,
+            "apart": apart,
+        }
+        for some in [[i] for i in fill] if apart else [fill]:
+            # a place that is not filled reads the tracking frame, and is not looked at
+            pieces = [{dim: i if i >= 0 else window.frame, "band": b} for i in (*some, *near) for b in range(bands)]
+            mine = {k: [told[k][fill.index(some[0])]] for k in ("names", "frames", "times")} if apart else {}
+            groups.append(Group({"radiance": pieces}, {**told, **mine}))
+    sizes = {
+        "tracking": len(sets),
+        "member": most,
+        "xy": 2,
+        **{k: v for k, v in stacked.sizes.items() if k != dim},
+    }
+    table = [[*at, *[-1] * (most - len(at))] for at in places]
+    labels: dict[str, tuple[tuple[str, ...], Sequence[Any]]] = {
+        "tracking": (("tracking",), [frames[window.frame] for window in sets]),
+        "frame": (("tracking", "member"), [[frames[i] if i >= 0 else -1 for i in row] for row in table]),
+        "illumination": (("tracking", "member"), [[names[i] if i >= 0 else "" for i in row] for row in table]),
+        "xy": (("xy",), ["x", "y"]),
+        "band": stacked.labels["band"],
+        "component": stacked.labels["component"],
+    }
+    if performance:
+        labels["time_s"] = (("tracking",), [stacked.along("time_s")[window.frame] for window in sets])
+    attrs = {k: v for k, v in stacked.attrs.items() if k == "cannot_be_made"} | {"engine": engine}
+    return Arrangement(
+        Grid(sizes, labels, attrs),
+        tuple(groups),
+        {"illumination|frame": dim},
+        ("tracking", "member") if apart else None,
+        frozenset({"flow", "aligned", "confidence"}) if apart else None,
+    )
+
+
+def _with_lacking(places: Sequence[list[int]], tracking: Sequence[int], names: Sequence[str]) -> list[list[int]]:
+    """Each set, and the tracking frames next to it that lack a full set: `upsample` fills them from it."""
+    return [
+        sorted({*at, *(i for i in _beside(frame, names) if i not in tracking)})
+        for at, frame in zip(places, tracking, strict=True)
+    ]
+
+
+def _beside(frame: int, names: Sequence[str]) -> list[int]:
+    """The tracking frames before and after one."""
+    constant = [i for i, name in enumerate(names) if name == "C"]
+    if frame not in constant:
+        return []
+    k = constant.index(frame)
+    return [*constant[max(k - 1, 0) : k], *constant[k + 1 : k + 2]]
+
+
+def _sets(names: Sequence[str], performance: bool, engine: str) -> list[Window]:
+    """The windows to align: of a performance those that hold a full set, of a static capture all of it."""
+    if not performance:
+        sets = [Window(names.index("C") if "C" in names else 0, {name: i for i, name in enumerate(names)})]
+        if engine != "none" and "C" not in names:
+            raise StageError(f"engine: {engine} aligns to a picture under constant light (C), and there is none")
+    else:
+        whole = f"{' '.join(names[:24])} ({len(names)} pictures)"
+        if "C" not in names:
+            raise StageError(f"a performance needs tracking frames under constant light (C); this one has {whole}")
+        found = chosen_sets(windows(names), method="auto", base="auto", correct="none", whole=whole)
+        sets = [window for window, _ in found]
+    for window in sets:
+        if engine in ("joint", "alternating") and not pairs(list(window.at)):
+            have = " ".join(sorted(window.at, key=window.at.__getitem__))
+            raise StageError(
+                f"engine: {engine} needs a gradient and its complement (X Xc, Y Yc or Z Zc) around each tracking "
+                f"frame; around frame {window.frame} there are {have}; engine: motion or direct would work"
+            )
+    return sets
+
+
+def _context(
+    labels: Mapping[str, Any], facts: Mapping[str, Any], items: Items, params: AlignParams
+) -> Mapping[str, Any]:
+    return {name: labels[name] for name in _TOLD}
+
+
+_TOLD = ("names", "frames", "times", "around", "bands", "engine", "apart")
+
+STAGE = Stage(
+    name="align",
+    version=1,
+    summary="the pictures of each set, brought to their tracking frame",
+    params=AlignParams,
+    inputs={"radiance": Input("radiance", ("illumination|frame", "band", "component", "y", "x"), "group")},
+    outputs={
+        "flow": Output(
+            ("tracking", "member", "xy", "y", "x"),
+            "float32",
+            whole=("xy", "y", "x"),
+            attrs={"units": "pixel", "long_name": "aligned(x) = member(x + flow(x)), on the tracking frame's grid"},
+        ),
+        "aligned": Output(
+            ("tracking", "member", "band", "component", "y", "x"), "float32", attrs={"units": "radiance"}
+        ),
+        "confidence": Output(
+            ("tracking", "member", "y", "x"),
+            "float32",
+            attrs={"units": "1", "long_name": "below a half the flow is likely wrong by a pixel"},
+        ),
+        "residual": Output(
+            ("tracking", "y", "x"),
+            "float32",
+            attrs={"units": "radiance", "long_name": "|gradient + complement - constant| after alignment"},
+        ),
+    },
+    blocks=("tracking",),
+    arrange=_arrange,
+    context=_context,
+    prepared=_TOLD,
+    kernel=align,
+)

@@ -1,0 +1,668 @@
+"""The motion of a subject through pictures under different light: a joint Gauss-Newton solve, coarse to fine.
+
+With c the tracking frame (constant light) and p_i picture i, taken at time t_i, the flow of each picture is a sum
+of few fields that all pictures share,
+
+    u_i(x) = sum_k B_ik theta_k(x) .
+
+`follow` takes B_ik = tau_i^k, k = 1..K, tau_i = t_i / max|t|: one motion for the whole window, its velocity,
+acceleration and jerk. `joint` gives a pair a field each (tau and tau^2 of two pictures span the same), `nudge` one
+picture its own. theta lives on the nodes of a block grid and is bilinear between them. Minimised are
+
+    complement  sum |h(p_a)(x + u_a) + h(p_a')(x + u_a') - h(c)(x)|^2 / c      light adds: r_a + r_a' = c
+    direct      sum |n(p_i)(x + u_i) - n(c)(x)|^2 c                            fine texture is that of the albedo
+    bending     sum lambda_k |second differences of theta_k|^2                 motion is smooth, but for its edges
+
+all with robust norms, each term with its own scale, measured by the median of its residuals. n divides by the local
+mean (sigma 2 px) and takes off what is smooth once more: that removes the gain between a gradient and constant
+light, and shading that stays where it is while the subject moves. h keeps 40 % of what is smoother than 4 px, for
+the same reason: a subject that turns changes its shading, so the complement constraint holds less well for what is
+smooth.
+
+The complement constraint fixes u + v and hardly sees u - v (its gradient is that of the pictures' difference). What
+decides u - v are the direct terms and, in `follow`, the tracking frames before and after, whose light is the same.
+
+`doubt_px` predicts the error of a flow: how far the solution moves when the bending term is taken ten times as
+strong or as weak, and a part of the motion itself near the subject's rim and the picture's border, where flows are
+only extended from inside.
+
+Sources: Wilson et al. (2010), ACM TOG 29(2), for the complement constraint; Dutta (2010) chapter 4; Negahdaripour
+(1998), doi:10.1109/34.713362, for brightness change; Lucas & Kanade (1981). The terms together are ours.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Image = NDArray[np.float32]
+_FLAGS = {"nogil": True, "cache": True, "error_model": "numpy", "fastmath": {"contract", "nsz", "arcp", "reassoc"}}
+DARK = 0.03
+"""Of the bright end of c: what is darker is taken for background."""
+_SIGMA_PX, _SMOOTH_PX, _KEPT_SMOOTH = 2.0, 4.0, 0.4
+_PREFILTER_PX = 0.8
+"""Noise and aliasing at the sampling limit say nothing about motion, and pull flows to whole pixels."""
+_MARGIN_PX = 2
+"""The rim is not used: what is beyond it does not move with it."""
+_DIRECT = 0.15
+"""Weight of the direct terms of gradient pictures: their texture holds some of the relief's shading."""
+_EDGE = 5.0
+"""Bending energy from which a place counts as an edge of the motion."""
+_ROOT_FLOOR = np.float32(0.02)
+_TRACE = 1e-3
+"""Keeps a motion that no pixel tells at rest."""
+_RIM_PART = np.float32(2.1)
+_SWAY = 5.2
+"""So much larger than these two is the error: nine in ten of the pixels that are wrong by more than a pixel have
+more doubt than that."""
+_MASS = np.array([[4, 2, 2, 1], [2, 4, 1, 2], [2, 1, 4, 2], [1, 2, 2, 4]]) / 36.0
+"""Integrals of the products of a cell's four bilinear basis functions."""
+
+
+class Flows(NamedTuple):
+    """Flows of the pictures of one window."""
+
+    flow: Image
+    """(picture, xy, y, x), pixels on the tracking frame's grid: aligned(x) = picture(x + flow(x))."""
+    doubt_px: Image
+    """(picture, y, x): predicted error of the flow, pixels."""
+
+
+class _Terms(NamedTuple):
+    basis: Image  # (picture, field)
+    pairs: NDArray[np.int64]  # (pair, 2)
+    single: NDArray[np.int64]  # pictures with a direct term
+    weight: NDArray[np.float64]  # of each direct term
+
+
+class _Level(NamedTuple):
+    constant: Image
+    smooth_less: Image
+    """h(c)"""
+    fine: Image
+    """n(c)"""
+    pictures: Image
+    """(picture, y, x, 2): h and n of each"""
+    known: NDArray[np.bool_]
+    """(picture, y, x)"""
+    subject: NDArray[np.bool_]
+
+
+def joint(
+    constant: Image, gradient: Image, complement: Image, *, times: tuple[float, float] = (-1.0, 1.0)
+) -> tuple[Image, Image]:
+    """Flows u, v of a gradient and its complement to the constant picture, each (xy, y, x) in pixels.
+
+    Args:
+        constant: c, (y, x), radiance in any unit; NaN where not valid.
+        gradient: r_a. complement: r_a'. times: when they were taken; c at 0.
+    """
+    flows = joint_flows(constant, [gradient, complement], times=times)
+    return flows.flow[0], flows.flow[1]
+
+
+def joint_flows(constant: Image, pair: Sequence[Image], *, times: Sequence[float]) -> Flows:
+    """`joint`, with doubt."""
+    terms = _Terms(_powers(times, 2), np.array([[0, 1]]), np.arange(2), np.full(2, _DIRECT))
+    return _solve(constant, pair, terms, bending=(60.0, 600.0), warps=(6, 4, 2))
+
+
+def follow(
+    constant: Image,
+    pictures: Sequence[Image],
+    *,
+    times: Sequence[float],
+    steady: Sequence[bool],
+    pairs: Sequence[tuple[int, int]],
+) -> Flows:
+    """One motion for all pictures of a tracking frame's window.
+
+    Args:
+        constant: c, (y, x), radiance in any unit; NaN where not valid.
+        pictures: the window's other pictures, and the tracking frames before and after it.
+        times: when each was taken, in any unit, c at 0.
+        steady: whether a picture was taken under constant light.
+        pairs: indices of pictures that are complements of each other.
+
+    Returns:
+        Flows of all pictures, in their order. The number of fields follows from the number of distinct times: 1 for
+        one, up to 3.
+    """
+    fields = min(3, len(set(times)))
+    direct = np.where(np.asarray(steady, bool), 1.0, _DIRECT)
+    terms = _Terms(
+        _powers(times, fields), np.array(pairs, np.int64).reshape(-1, 2), np.arange(len(pictures)), direct
+    )
+    start = _between_tracking_frames(constant, pictures, times, steady, fields)
+    bending = (60.0, 180.0, 180.0)[:fields]
+    if start is None:
+        return _solve(constant, pictures, terms, bending=bending, warps=(8, 6))
+    return _solve(constant, pictures, terms, bending=bending, warps=(8, 6), levels=2, start=start)
+
+
+def nudge(constant: Image, picture: Image, start: Image) -> Flows:
+    """The flow of one picture by itself, from a start that is nearly right; (xy, y, x) in pixels."""
+    terms = _Terms(np.ones((1, 1), np.float32), np.empty((0, 2), np.int64), np.arange(1), np.ones(1))
+    return _solve(constant, [picture], terms, bending=(200.0,), warps=(3, 3), levels=2, start=start)
+
+
+def _powers(times: Sequence[float], fields: int) -> Image:
+    tau = np.asarray(times, float) / np.abs(times).max()
+    return np.stack([tau**k for k in range(1, fields + 1)], axis=1).astype(np.float32)
+
+
+def _between_tracking_frames(
+    constant: Image, pictures: Sequence[Image], times: Sequence[float], steady: Sequence[bool], fields: int
+) -> Image | None:
+    """Fields (2 field, y, x) from dense flow between tracking frames, where light is the same; None without any.
+
+    The block grid alone loses fast parts that are small, such as a jaw, on its coarse levels.
+    """
+    others = [i for i, same in enumerate(steady) if same]
+    if not others or fields < 2:
+        return None
+    bright = _bright_end(constant)
+    dis = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    dis.setFinestScale(0 if constant.size < 300_000 else 1)
+    dis.setVariationalRefinementIterations(10)
+    here = _eight_bits(constant, bright)
+    far = float(np.abs(times).max())
+    rows, flows = [], []
+    for i in others:
+        flow = dis.calc(here, _eight_bits(pictures[i], bright), None)
+        flows.append(np.moveaxis(flow, 2, 0))
+        rows.append([times[i] / far, (times[i] / far) ** 2][: len(others)])
+    start = np.zeros((2 * fields, *constant.shape), np.float32)
+    known = np.linalg.pinv(np.array(rows))[:fields]
+    start[: 2 * len(known)] = np.einsum("ki,icyx->kcyx", known, np.stack(flows)).reshape(-1, *constant.shape)
+    return start
+
+
+def _eight_bits(picture: Image, bright: float) -> NDArray[np.uint8]:
+    return np.asarray(np.clip(np.nan_to_num(picture) * (220 / bright), 0, 255), np.uint8)
+
+
+def _bright_end(constant: Image) -> float:
+    thin = max(1, constant.shape[1] // 400)
+    lit = constant[::thin, ::thin]
+    lit = lit[np.isfinite(lit)]
+    bright = float(np.percentile(lit, 99)) if lit.size else 0.0
+    return bright if bright > 0 else 1.0
+
+
+def _solve(
+    constant: Image,
+    pictures: Sequence[Image],
+    terms: _Terms,
+    *,
+    bending: Sequence[float],
+    warps: Sequence[int],
+    levels: int | None = None,
+    start: Image | None = None,
+) -> Flows:
+    """Coarse to fine; `warps` are the Gauss-Newton steps per level, the last one for all finer levels."""
+    bright = np.float32(_bright_end(constant))
+    height, width = constant.shape
+    subject = subject_of(constant)
+    known = [np.isfinite(p) for p in pictures]
+    images = [_filled(np.asarray(p, np.float32) / bright) for p in (constant, *pictures)]
+    depth = levels or min(5, max(1, int(math.log2(min(height, width) / 40)) + 1))
+    pyramid = [(images, known, subject)]
+    for _ in range(depth - 1):
+        images, known, subject = pyramid[-1]
+        pyramid.append(([cv2.pyrDown(i) for i in images], [_halved(k) for k in known], _halved(subject)))
+    weights = np.repeat(np.asarray(bending, float), 2)
+    count = len(weights)
+    theta = np.empty((0, 0, 0))
+    spacing = 0
+    for level in range(depth - 1, -1, -1):
+        at = _prepared(*pyramid[level], finest=level == 0)
+        rows, columns = at.constant.shape
+        step = max(8, round(width / 2**level / 32))
+        nodes = (rows - 1) // step + 2, (columns - 1) // step + 2
+        if theta.size:
+            theta = _at_nodes(2 * _at_pixels(theta, (rows, columns), 2 * spacing), nodes, step)
+        elif start is not None:
+            blurred = [cv2.GaussianBlur(f, (0, 0), step * 2**level / 3) for f in start]
+            smaller = [cv2.resize(f, (columns, rows), interpolation=cv2.INTER_AREA) for f in blurred]
+            theta = _at_nodes(np.stack(smaller) / 2**level, nodes, step)
+        else:
+            theta = np.zeros((*nodes, count))
+        spacing = step
+        sparse = max(1, round(step / 12))
+        for turn in range(warps[min(depth - 1 - level, len(warps) - 1)]):
+            hessian, gradient = _linearised(at, theta, terms, step, sparse, turn)
+            edges = _edges(theta, weights, _EDGE)
+            before = theta
+            theta = before + _minimise(hessian, gradient, before, weights, edges, _MASS)
+    # how much of the solution is the prior's; at the nodes, which is as fine as it varies
+    swayed = np.zeros((*theta.shape[:2], len(pictures)))
+    for factor in (10.0, 0.1):
+        away = before + _minimise(hessian, gradient, before, factor * weights, edges, _MASS) - theta
+        moved = np.einsum("mk,yxkc->yxmc", terms.basis, away.reshape(*theta.shape[:2], -1, 2))
+        swayed = np.maximum(swayed, np.hypot(moved[..., 0], moved[..., 1]))
+    flow = _flows(_at_pixels(theta, (height, width), spacing), terms.basis)
+    doubt = _at_pixels(swayed, (height, width), spacing)
+    return Flows(flow, np.float32(_SWAY) * doubt + extended(flow, pyramid[0][2]))
+
+
+def extended(flow: Image, subject: NDArray[np.bool_]) -> Image:
+    """(picture, y, x): the part of a motion that is likely wrong because it is extended from inside, pixels.
+
+    It is as smooth as the distances that it is made of, so it is computed on every `thin`th pixel.
+    """
+    height, width = subject.shape
+    thin = max(1, width // 400)
+    rim = cv2.distanceTransform(subject.astype(np.uint8), cv2.DIST_L2, 3)[::thin, ::thin]
+    y, x = np.mgrid[0:height:thin, 0:width:thin].astype(np.float32)
+    here = np.minimum(np.minimum(x, width - 1 - x), np.minimum(y, height - 1 - y))
+    scale = width / 406
+    # without any rim the distances are the largest number there is
+    beside_rim = np.exp(-np.minimum(rim, width) / np.float32(4 * scale))
+    out = np.empty((len(flow), height, width), np.float32)
+    for f, o in zip(flow[:, :, ::thin, ::thin], out, strict=True):
+        px, py = x + f[0], y + f[1]
+        there = np.minimum(np.minimum(px, width - 1 - px), np.minimum(py, height - 1 - py))
+        beside_border = np.exp(-np.maximum(np.minimum(here, there), 0) / np.float32(15 * scale))
+        part = _RIM_PART * np.hypot(f[0], f[1]) * (beside_rim + beside_border)
+        cv2.resize(part, (width, height), dst=o, interpolation=cv2.INTER_LINEAR)
+    return out
+
+
+def subject_of(constant: Image) -> NDArray[np.bool_]:
+    """(y, x): where a tracking frame shows the subject and not the dark around it."""
+    return np.isfinite(constant) & (constant > DARK * _bright_end(constant))
+
+
+def _filled(picture: Image) -> Image:
+    """Unknown pixels take the mean of what is known around them, 0 where nothing is."""
+    known = np.isfinite(picture)
+    if known.all():
+        return picture
+    part = cv2.blur(known.astype(np.float32), (7, 7))
+    mean = cv2.blur(np.where(known, picture, np.float32(0)), (7, 7)) / np.maximum(part, np.float32(1e-3))
+    return np.where(known, picture, mean).astype(np.float32)
+
+
+def _halved(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    return np.asarray(cv2.pyrDown(mask.astype(np.float32)) > 0.95)
+
+
+def _prepared(
+    images: Sequence[Image], known: Sequence[NDArray[np.bool_]], subject: NDArray[np.bool_], *, finest: bool
+) -> _Level:
+    if finest:
+        images = [cv2.GaussianBlur(i, (0, 0), _PREFILTER_PX) for i in images]
+    fine = [_fine(i, subject if k == 0 else i > 0.01) for k, i in enumerate(images)]
+    inner = cv2.erode(subject.astype(np.uint8), np.ones((2 * _MARGIN_PX + 1,) * 2, np.uint8)) > 0
+    both = np.empty((len(images) - 1, *subject.shape, 2), np.float32)
+    for image, texture, out in zip(images[1:], fine[1:], both, strict=True):
+        cv2.merge([_less_smooth(image), texture], out)
+    return _Level(images[0], _less_smooth(images[0]), fine[0], both, np.stack(known), inner)
+
+
+def _less_smooth(image: Image) -> Image:
+    """h: what is smooth is kept in part only."""
+    mean = cv2.GaussianBlur(image, (0, 0), _SMOOTH_PX)
+    return np.asarray(cv2.addWeighted(image, 1.0, mean, _KEPT_SMOOTH - 1, 0.0, dst=mean))
+
+
+def _fine(image: Image, lit: NDArray[np.bool_]) -> Image:
+    """n: texture relative to the local mean, less what is smooth; 0 where not lit. In place where it can be."""
+    weight = lit.astype(np.float32)
+    part = cv2.GaussianBlur(weight, (0, 0), _SIGMA_PX)
+    np.maximum(part, np.float32(1e-3), out=part)
+    mean = cv2.GaussianBlur(cv2.multiply(image, weight), (0, 0), _SIGMA_PX)
+    mean /= part
+    out = cv2.subtract(image, mean)
+    np.maximum(mean, _ROOT_FLOOR, out=mean)
+    out /= mean
+    out *= weight
+    cv2.GaussianBlur(out, (0, 0), _SIGMA_PX, dst=mean)
+    mean /= part
+    out -= mean
+    out *= weight
+    return np.asarray(out)
+
+
+def _at_pixels(theta: NDArray[np.float64], shape: tuple[int, int], spacing: int) -> Image:
+    """Fields (2 field, y, x) from nodes (row, column, 2 field), bilinear."""
+    x, y = np.meshgrid(
+        (np.arange(shape[1]) / spacing).astype(np.float32), (np.arange(shape[0]) / spacing).astype(np.float32)
+    )
+    nodes = np.ascontiguousarray(np.moveaxis(theta, 2, 0), dtype=np.float32)
+    border = cv2.BORDER_REPLICATE
+    return np.stack([cv2.remap(f, x, y, cv2.INTER_LINEAR, borderMode=border) for f in nodes])
+
+
+def _at_nodes(fields: Image, nodes: tuple[int, int], step: int) -> NDArray[np.float64]:
+    rows = np.minimum(np.arange(nodes[0]) * step, fields.shape[1] - 1)
+    columns = np.minimum(np.arange(nodes[1]) * step, fields.shape[2] - 1)
+    return np.ascontiguousarray(np.moveaxis(fields[:, rows][:, :, columns], 0, 2), dtype=np.float64)
+
+
+def _flows(fields: Image, basis: Image) -> Image:
+    pairs = fields.reshape(-1, 2, *fields.shape[1:])
+    return np.asarray(np.einsum("mk,kcyx->mcyx", basis, pairs), np.float32)
+
+
+def _linearised(
+    at: _Level, theta: NDArray[np.float64], terms: _Terms, step: int, sparse: int, turn: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Hessian (cell row, cell column, D, D) and gradient (row, column, D) of the data terms at theta."""
+    count = len(terms.pairs) + len(terms.single)
+    fields = theta.astype(np.float32)
+    thin = max(1, int(math.sqrt(np.count_nonzero(at.subject) / 5000)))
+    few = np.zeros_like(at.subject)
+    few[::thin, ::thin] = at.subject[::thin, ::thin]
+    residuals = np.full((count, max(1, int(np.count_nonzero(few)))), np.nan, np.float32)
+    nothing = np.zeros((1, 1, 1, 1), np.float32), np.zeros((1, 1, 1), np.float32)
+    arguments = (at.constant, at.smooth_less, at.fine, at.pictures, at.known)
+    _sum_up(*arguments, few, fields, *terms[:3], np.ones(count, np.float32), step, 1, 0, True, *nothing, residuals)
+    scale = np.ones(count)
+    for i, row in enumerate(residuals):
+        seen = row[row == row]
+        if seen.size:
+            scale[i] = 1.4826 * np.median(seen) + 1e-6
+    # a picture of which one pixel in n^2 is used counts as if all were
+    scale /= sparse
+    scale[len(terms.pairs) :] /= np.sqrt(terms.weight)
+    rows, columns, size = theta.shape
+    hessian = np.zeros((rows - 1, columns - 1, size, size), np.float32)
+    gradient = np.zeros((rows, columns, size), np.float32)
+    _sum_up(
+        *arguments, at.subject, fields, *terms[:3], scale.astype(np.float32), step, sparse, turn, False,
+        hessian, gradient, residuals,
+    )  # fmt: skip
+    return hessian.astype(np.float64), gradient.astype(np.float64)
+
+
+@njit(**_FLAGS)
+def _sum_up(
+    constant: Image,
+    smooth_less: Image,
+    fine: Image,
+    pictures: Image,
+    known: NDArray[np.bool_],
+    chosen: NDArray[np.bool_],
+    theta: Image,
+    basis: Image,
+    pairs: NDArray[np.int64],
+    single: NDArray[np.int64],
+    scale: Image,
+    step: int,
+    sparse: int,
+    turn: int,
+    only_residuals: bool,
+    hessian: Image,
+    gradient: Image,
+    residuals: Image,
+) -> None:
+    """Add up J^T W J and J^T W rho over the chosen pixels, one in sparse^2; or write |rho| of each."""
+    height, width = constant.shape
+    count = pictures.shape[0]
+    rows, columns, size = theta.shape
+    fields = size // 2
+    value, slope = np.zeros((count, 2), np.float32), np.zeros((count, 2, 2), np.float32)
+    seen = np.zeros(count, np.bool_)
+    p, jacobian = np.zeros(size, np.float32), np.zeros(size, np.float32)
+    corner, square = np.zeros((4, size), np.float32), np.zeros((size, size), np.float32)
+    wx, wy, dx, dy = (
+        np.zeros(4, np.float32),
+        np.zeros(4, np.float32),
+        np.zeros(4, np.float32),
+        np.zeros(4, np.float32),
+    )
+    one, half = np.float32(1), np.float32(0.5)
+    last_x, last_y = np.float32(width - 2), np.float32(height - 2)
+    place = 0
+    for cell_y in range(rows - 1):
+        for cell_x in range(columns - 1):
+            corner[:] = 0
+            square[:] = 0
+            some = False
+            top, left = cell_y * step, cell_x * step
+            for y in range(top, min(top + step, height)):
+                if (y + turn) % sparse:
+                    continue
+                fy = np.float32((y - top) / step)
+                for x in range(left + (turn + y // sparse) % sparse, min(left + step, width), sparse):
+                    if not chosen[y, x]:
+                        continue
+                    fx = np.float32((x - left) / step)
+                    a, b, c, d = (one - fx) * (one - fy), fx * (one - fy), (one - fx) * fy, fx * fy
+                    for k in range(size):
+                        p[k] = (
+                            a * theta[cell_y, cell_x, k]
+                            + b * theta[cell_y, cell_x + 1, k]
+                            + c * theta[cell_y + 1, cell_x, k]
+                            + d * theta[cell_y + 1, cell_x + 1, k]
+                        )
+                    for m in range(count):
+                        px, py = np.float32(x), np.float32(y)
+                        for k in range(fields):
+                            px += basis[m, k] * p[2 * k]
+                            py += basis[m, k] * p[2 * k + 1]
+                        seen[m] = px >= one and py >= one and px < last_x and py < last_y
+                        if not seen[m]:
+                            continue
+                        ix, iy = int(px), int(py)
+                        t, u = px - np.float32(ix), py - np.float32(iy)
+                        if not known[m, iy + int(u + half), ix + int(t + half)]:
+                            seen[m] = False
+                            continue
+                        _cubic(t, wx, dx)
+                        _cubic(u, wy, dy)
+                        for q in range(2):
+                            v, gx, gy = np.float32(0), np.float32(0), np.float32(0)
+                            for j in range(4):
+                                r0 = pictures[m, iy - 1 + j, ix - 1, q]
+                                r1 = pictures[m, iy - 1 + j, ix, q]
+                                r2 = pictures[m, iy - 1 + j, ix + 1, q]
+                                r3 = pictures[m, iy - 1 + j, ix + 2, q]
+                                along = wx[0] * r0 + wx[1] * r1 + wx[2] * r2 + wx[3] * r3
+                                v += wy[j] * along
+                                gx += wy[j] * (dx[0] * r0 + dx[1] * r1 + dx[2] * r2 + dx[3] * r3)
+                                gy += dy[j] * along
+                            value[m, q], slope[m, q, 0], slope[m, q, 1] = v, gx, gy
+                    # shot noise: variance goes with the counts
+                    root = np.float32(math.sqrt(max(constant[y, x], _ROOT_FLOOR)))
+                    for term in range(len(pairs) + len(single)):
+                        if term < len(pairs):
+                            i, j = pairs[term, 0], pairs[term, 1]
+                            if not (seen[i] and seen[j]):
+                                continue
+                            rho = (value[i, 0] + value[j, 0] - smooth_less[y, x]) / root
+                            for k in range(fields):
+                                for e in range(2):
+                                    both = basis[i, k] * slope[i, 0, e] + basis[j, k] * slope[j, 0, e]
+                                    jacobian[2 * k + e] = both / root
+                        else:
+                            i = single[term - len(pairs)]
+                            if not seen[i]:
+                                continue
+                            rho = (value[i, 1] - fine[y, x]) * root
+                            for k in range(fields):
+                                for e in range(2):
+                                    jacobian[2 * k + e] = basis[i, k] * slope[i, 1, e] * root
+                        if only_residuals:
+                            residuals[term, place] = abs(rho)
+                            continue
+                        z = rho / scale[term]
+                        w = one / (one + z * z / 4)
+                        w = w * w / (scale[term] * scale[term])
+                        some = True
+                        for e in range(size):
+                            g = w * jacobian[e]
+                            for f in range(e, size):
+                                square[e, f] += g * jacobian[f]
+                            g *= rho
+                            corner[0, e] += a * g
+                            corner[1, e] += b * g
+                            corner[2, e] += c * g
+                            corner[3, e] += d * g
+                    if only_residuals:
+                        place += 1
+            if some:
+                for e in range(size):
+                    for q in range(4):
+                        gradient[cell_y + (q >> 1), cell_x + (q & 1), e] += corner[q, e]
+                    for f in range(e, size):
+                        hessian[cell_y, cell_x, e, f] = hessian[cell_y, cell_x, f, e] = square[e, f]
+
+
+@njit(inline="always", **_FLAGS)
+def _cubic(t: np.float32, weight: Image, slope: Image) -> None:
+    """Keys' cubic with a = -1/2 at fraction t behind the second of four samples, and its derivative."""
+    half, two = np.float32(0.5), np.float32(2)
+    t2 = t * t
+    t3 = t2 * t
+    weight[0] = -half * t3 + t2 - half * t
+    weight[1] = np.float32(1.5) * t3 - np.float32(2.5) * t2 + np.float32(1)
+    weight[2] = np.float32(-1.5) * t3 + two * t2 + half * t
+    weight[3] = half * t3 - half * t2
+    slope[0] = np.float32(-1.5) * t2 + two * t - half
+    slope[1] = np.float32(4.5) * t2 - np.float32(5) * t
+    slope[2] = np.float32(-4.5) * t2 + np.float32(4) * t + half
+    slope[3] = np.float32(1.5) * t2 - t
+
+
+@njit(**_FLAGS)
+def _bent(x: NDArray[np.float64], weights: NDArray[np.float64], edges: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The bending term's gradient at x (row, column, D)."""
+    rows, columns, size = x.shape
+    out = np.zeros_like(x)
+    for j in range(rows):
+        for i in range(columns):
+            for k in range(size):
+                if 0 < i < columns - 1:
+                    d = edges[0, j, i] * weights[k] * (x[j, i - 1, k] - 2 * x[j, i, k] + x[j, i + 1, k])
+                    out[j, i - 1, k] += d
+                    out[j, i, k] -= 2 * d
+                    out[j, i + 1, k] += d
+                if 0 < j < rows - 1:
+                    d = edges[1, j, i] * weights[k] * (x[j - 1, i, k] - 2 * x[j, i, k] + x[j + 1, i, k])
+                    out[j - 1, i, k] += d
+                    out[j, i, k] -= 2 * d
+                    out[j + 1, i, k] += d
+                if i < columns - 1 and j < rows - 1:
+                    d = x[j, i, k] - x[j, i + 1, k] - x[j + 1, i, k] + x[j + 1, i + 1, k]
+                    d *= 2 * edges[2, j, i] * weights[k]
+                    out[j, i, k] += d
+                    out[j, i + 1, k] -= d
+                    out[j + 1, i, k] -= d
+                    out[j + 1, i + 1, k] += d
+    return out
+
+
+@njit(**_FLAGS)
+def _edges(x: NDArray[np.float64], weights: NDArray[np.float64], limit: float) -> NDArray[np.float64]:
+    """Robust weights (3, row, column) of the second differences along x, along y, and mixed."""
+    rows, columns, size = x.shape
+    out = np.ones((3, rows, columns))
+    for j in range(rows):
+        for i in range(columns):
+            across, down, mixed = 0.0, 0.0, 0.0
+            for k in range(size):
+                if 0 < i < columns - 1:
+                    across += weights[k] * (x[j, i - 1, k] - 2 * x[j, i, k] + x[j, i + 1, k]) ** 2
+                if 0 < j < rows - 1:
+                    down += weights[k] * (x[j - 1, i, k] - 2 * x[j, i, k] + x[j + 1, i, k]) ** 2
+                if i < columns - 1 and j < rows - 1:
+                    mixed += (
+                        2 * weights[k] * (x[j, i, k] - x[j, i + 1, k] - x[j + 1, i, k] + x[j + 1, i + 1, k]) ** 2
+                    )
+            out[0, j, i], out[1, j, i], out[2, j, i] = (
+                1 / (1 + across / limit),
+                1 / (1 + down / limit),
+                1 / (1 + mixed / limit),
+            )
+    return out
+
+
+@njit(**_FLAGS)
+def _applied(
+    hessian: NDArray[np.float64],
+    x: NDArray[np.float64],
+    weights: NDArray[np.float64],
+    edges: NDArray[np.float64],
+    mass: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """(data + bending + a trace of the identity) x; a cell's data matrix is taken as constant within it."""
+    rows, columns, size = x.shape
+    out: NDArray[np.float64] = _bent(x, weights, edges) + _TRACE * x
+    product = np.zeros((4, size))
+    for j in range(rows - 1):
+        for i in range(columns - 1):
+            h = hessian[j, i]
+            if h[0, 0] == 0.0 and h[1, 1] == 0.0:
+                continue
+            for q in range(4):
+                for e in range(size):
+                    total = 0.0
+                    for f in range(size):
+                        total += h[e, f] * x[j + (q >> 1), i + (q & 1), f]
+                    product[q, e] = total
+            for r in range(4):
+                for e in range(size):
+                    total = 0.0
+                    for q in range(4):
+                        total += mass[r, q] * product[q, e]
+                    out[j + (r >> 1), i + (r & 1), e] += total
+    return out
+
+
+@njit(**_FLAGS)
+def _minimise(
+    hessian: NDArray[np.float64],
+    gradient: NDArray[np.float64],
+    theta: NDArray[np.float64],
+    weights: NDArray[np.float64],
+    edges: NDArray[np.float64],
+    mass: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """The Gauss-Newton step: conjugate gradients, with the diagonal blocks as preconditioner."""
+    rows, columns, size = theta.shape
+    blocks = np.zeros((rows, columns, size, size))
+    for j in range(rows - 1):
+        for i in range(columns - 1):
+            for q in range(4):
+                blocks[j + (q >> 1), i + (q & 1)] += mass[q, q] * hessian[j, i]
+    for j in range(rows):
+        for i in range(columns):
+            for k in range(size):
+                blocks[j, i, k, k] += 14 * weights[k] + _TRACE
+            blocks[j, i] = np.linalg.inv(blocks[j, i])
+    step = np.zeros_like(theta)
+    rest = -(gradient + _bent(theta, weights, edges) + _TRACE * theta)
+    direction = _by_blocks(blocks, rest)
+    energy = np.sum(rest * direction)
+    first = energy
+    for _ in range(60):
+        if energy <= 1e-4 * first:
+            break
+        pushed = _applied(hessian, direction, weights, edges, mass)
+        length = energy / np.sum(direction * pushed)
+        step += length * direction
+        rest -= length * pushed
+        turned = _by_blocks(blocks, rest)
+        after = np.sum(rest * turned)
+        direction = turned + (after / energy) * direction
+        energy = after
+    return step
+
+
+@njit(**_FLAGS)
+def _by_blocks(blocks: NDArray[np.float64], x: NDArray[np.float64]) -> NDArray[np.float64]:
+    rows, columns, size = x.shape
+    out = np.zeros_like(x)
+    for j in range(rows):
+        for i in range(columns):
+            for e in range(size):
+                for f in range(size):
+                    out[j, i, e] += blocks[j, i, e, f] * x[j, i, f]
+    return out

@@ -1,0 +1,165 @@
+"""upsample: normals at every picture of a performance, at that picture's own pose.
+
+Normals exist at tracking frames. Each picture lies between two of them, and is a member of both their sets, so
+`align` has its flow f_T from either. With g_T the inverse of f_T,
+
+    n_i(y) ~ sum over T of w_T c_T n_T(y + g_T(y)) ,
+
+w_T the nearness in time, c_T the confidence of the flow. Where one side does not see a point, the other fills it;
+a picture at an end has one side only; a tracking frame has its own normals, or, if it lacks a full set, its
+neighbour's.
+
+`weights: printed` and `inverse: negated` are what the thesis prints, for comparison: its weights favour the farther
+tracking frame in the minimal sequence, and W(n, -f) is not the inverse warp.
+
+Must have run before: normals and align. Limits: a warp moves normals and does not turn them; with a side before and
+one after, the mean follows the subject's rotation as far as it is linear in time.
+
+Source: Wilson et al. (2010), ACM TOG 29(2); Dutta (2010) 5.2.1.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from dag.stage import Arrangement, Grid, Group, Input, Items, Output, Params, Stage, StageError
+from stages.flow_warp import Interpolation, unit
+from stages.in_between import Side, blend, carry, nearness
+from stages.picture_sets import picture_times
+from stages.rig_normals import quantised
+from stages.spherical_gradients import FILL, STEPS
+
+Image = NDArray[np.float32]
+
+
+class UpsampleParams(Params):
+    """Parameters of `upsample`."""
+
+    weights: Literal["nearness", "equal", "printed"] = Field(
+        "nearness", description="of the two tracking frames around; printed: as in the thesis, for comparison"
+    )
+    inverse: Literal["proper", "negated"] = Field("proper", description="negated: W(n, -f), for comparison")
+    interpolation: Literal["linear", "cubic", "spline"] = Field("cubic", description="of the normals, as vectors")
+
+
+def upsample(
+    normal: Sequence[Image],
+    flow: Sequence[Image],
+    confidence: Sequence[Image],
+    *,
+    away: Sequence[float],
+    weights: str,
+    inverse: str,
+    interpolation: Interpolation,
+) -> Mapping[str, Any]:
+    """Normals at one picture.
+
+    Args:
+        normal: per tracking frame, (band, xyz, y, x) unit vectors, NaN where not valid.
+        flow: per tracking frame, (xy, y, x), pixels, from its grid to the picture.
+        confidence: of each flow, (y, x), 0 to 1.
+        away: time from the picture to each tracking frame, in any unit; 0 if the picture is it.
+        weights, inverse, interpolation: see UpsampleParams.
+
+    Returns:
+        `normal` (xyz, y, x) int16 of unit vectors, bands as one; `confidence` (y, x) float32, 0 to 1.
+    """
+    sides = []
+    for n, f, c in zip(normal, flow, confidence, strict=True):
+        # NaN in a band is no vote
+        whole = unit(np.nansum(n, axis=0)) if len(n) > 1 else n[0]
+        if len(away) == 1 and away[0] == 0:
+            known = np.isfinite(whole[0])
+            return _result(Side(whole, np.where(known, c, np.float32(0))))
+        sides.append(carry(whole, f, c, interpolation=interpolation, negated=inverse == "negated"))
+    shares = nearness(0.0, away)
+    if weights == "equal":
+        shares = np.full(len(away), 1 / len(away))
+    elif weights == "printed":
+        shares = shares[::-1]
+    return _result(blend(sides, [float(share) for share in shares]))
+
+
+def _result(side: Side) -> Mapping[str, Any]:
+    return {
+        "normal": quantised(np.moveaxis(side.normal, 0, 2)),
+        "confidence": np.asarray(side.confidence, np.float32),
+    }
+
+
+def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: UpsampleParams) -> Arrangement:
+    normals, aligned = grids
+    if "member" not in aligned.sizes:
+        raise StageError("upsample reads normals and align, in this order: from: [normals, align]")
+    tracking = list(normals.along("tracking"))
+    performance = facts["frame_rate_hz"] is not None
+    when = picture_times(facts)
+    # per picture: (time away, tracking frame in normals, in align, member)
+    sides: dict[int, list[tuple[float, int, int, int]]] = {}
+    for a, (frame, members) in enumerate(zip(aligned.along("tracking"), aligned.along("frame"), strict=True)):
+        if frame not in tracking:
+            continue
+        for m, picture in enumerate(members):
+            if picture >= 0 and (performance or picture == frame):
+                here = when[frame] - when[picture]
+                sides.setdefault(picture, []).append((here, tracking.index(frame), a, m))
+    frames = sorted(sides)
+    groups = []
+    for picture in frames:
+        own = [side for side in sides[picture] if side[0] == 0]
+        before = sorted((s for s in sides[picture] if s[0] < 0), reverse=True)[:1]
+        after = sorted(s for s in sides[picture] if s[0] > 0)[:1]
+        chosen = own or before + after
+        flows = [{"tracking": a, "member": m} for _, _, a, m in chosen]
+        groups.append(
+            Group(
+                {"normal": [{"tracking": n} for _, n, _, _ in chosen], "flow": flows, "confidence": flows},
+                {"away": [side[0] for side in chosen]},
+            )
+        )
+    sizes = {"frame": len(frames), "xyz": 3, "y": normals.sizes["y"], "x": normals.sizes["x"]}
+    labels: dict[str, tuple[tuple[str, ...], Sequence[Any]]] = {
+        "frame": (("frame",), frames),
+        "illumination": (("frame",), [facts["illumination"][i] for i in frames]),
+        "xyz": (("xyz",), list("xyz")),
+    }
+    if performance:
+        labels["time_s"] = (("frame",), [facts["time_s"][i] for i in frames])
+    attrs = {k: normals.attrs[k] for k in ("method", "correct", "component", "frame") if k in normals.attrs}
+    return Arrangement(Grid(sizes, labels, attrs), tuple(groups))
+
+
+def _context(
+    labels: Mapping[str, Any], facts: Mapping[str, Any], items: Items, params: UpsampleParams
+) -> Mapping[str, Any]:
+    return {"away": labels["away"]}
+
+
+STAGE = Stage(
+    name="upsample",
+    version=1,
+    summary="normals at every picture",
+    params=UpsampleParams,
+    inputs={
+        "normal": Input("normal", ("tracking", "band", "xyz", "y", "x"), "group"),
+        "flow": Input("flow", ("tracking", "member", "xy", "y", "x"), "group", source=1),
+        "confidence": Input("confidence", ("tracking", "member", "y", "x"), "group", source=1),
+    },
+    outputs={
+        "normal": Output(
+            ("frame", "xyz", "y", "x"),
+            "int16",
+            whole=("xyz", "y", "x"),
+            attrs={"scale_factor": 1 / STEPS, "_FillValue": FILL, "units": "unit vector"},
+        ),
+        "confidence": Output(("frame", "y", "x"), "float32", attrs={"units": "1"}),
+    },
+    blocks=("frame",),
+    arrange=_arrange,
+    context=_context,
+    prepared=("away",),
+    kernel=upsample,
+)
