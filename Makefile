@@ -5,10 +5,10 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 RUN    := $(BIN)/lightstage $(if $(STORE),--store "$(STORE)")
 
-.PHONY: help setup normals test lint format bench docs golden clean
+.PHONY: help setup normals performance test lint format bench docs golden clean
 
 help:  ## list the targets
-	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 10
+	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 13
 	@echo "Variables: SESSION=name or capture folder, STORE=folder (default data/), PYTHON=python3"
 
 # What a user needs and what a developer needs have a lock file each, so that the first picture comes sooner.
@@ -28,6 +28,9 @@ setup: $(VENV)/.user  ## make the environment (the other targets do it themselve
 
 normals: $(VENV)/.user  ## the main job: SESSION=name or folder, or the virtual rig's demo
 	@$(RUN) normals $(if $(SESSION),"$(SESSION)")
+
+performance: $(VENV)/.user  ## the film of a moving subject: SESSION=name or folder, or the virtual rig's
+	@$(RUN) performance $(if $(SESSION),"$(SESSION)")
 
 test: $(VENV)/.developer  ## all tests
 	@$(BIN)/python -m pytest $(if $(TESTS),$(TESTS),-n 2)

@@ -178,5 +178,19 @@ def demo_session(store: Store, screen: Screen, *, name: str = "demo", **shot: An
     return name
 
 
+def moving_session(store: Store, screen: Screen) -> str:
+    """The performance that `demo --sequence minimal` captures; returns the session's name."""
+    from hw.sequence import minimal
+
+    return demo_session(
+        store,
+        screen,
+        name="demo-minimal",
+        bands_nm=(int(BROADBAND),),
+        sequence=minimal(TRACKING, sets="mixed"),
+        motion="slow",
+    )
+
+
 def _options(shot: Any) -> dict[str, Any]:
     return {key: list(value) if isinstance(value, tuple) else value for key, value in shot.described().items()}

@@ -1,4 +1,4 @@
-"""export: a node's pictures as PNG, EXR or NPY, for tools that do not read zarr.
+"""export: a node's pictures as PNG, EXR or NPY, for tools that do not read zarr; or its normals as a film.
 
 Normals are exported as maps. The convention says where green points: OpenGL up, DirectX down. 8 bits are for
 looking; EXR holds float channels, with convention, frame and units in its header.
@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cli import film
 from cli.show import Screen
 from store.errors import RequestError, WorkError
 from store.root import Store
@@ -26,12 +27,21 @@ FRAME = "world: right-handed, x right, y up, z towards the camera"
 
 def configure(commands: Any) -> None:
     """Add the commands of this file."""
-    export = commands.add_parser("export", help="write a node's pictures as PNG, EXR or NPY")
+    export = commands.add_parser(
+        "export", help="write a node's pictures as PNG, EXR or NPY, or a film of its normals"
+    )
     export.add_argument("node", metavar="NODE")
     export.add_argument("--session", required=True, metavar="S")
     export.add_argument("--to", required=True, type=Path, metavar="DIR")
-    export.add_argument("--format", required=True, choices=FORMATS)
+    export.add_argument("--format", required=True, choices=(*FORMATS, *film.FORMATS))
     export.add_argument("--convention", choices=tuple(CONVENTIONS), default="opengl", help="where green points")
+    export.add_argument(
+        "--fps",
+        type=float,
+        metavar="N",
+        help=f"frames a second of a film (default: the session's rate / {film.SLOWER}, so that one sees what "
+        f"happens, and at least {film.SLOWEST_FPS:g})",
+    )
     export.set_defaults(handler=handle_export)
 
 
@@ -56,6 +66,8 @@ def handle_export(options: argparse.Namespace, screen: Screen) -> int:
     from store.results import current_path
     from store.sessions import read_session
 
+    if options.fps is not None and options.format not in film.FILMS:
+        raise RequestError(f"--fps {options.fps:g}: only a film has it; choose --format {' or '.join(film.FILMS)}")
     store = Store(options.store, create=False)
     session = read_session(options.session, store)
     if options.node == "capture":
@@ -67,6 +79,22 @@ def handle_export(options: argparse.Namespace, screen: Screen) -> int:
         options.to.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise RequestError(f"--to {options.to}: no folder can be made there ({error.strerror})") from None
+    if options.format in film.FORMATS:
+        answer = film.export_film(
+            dataset,
+            options.node,
+            session,
+            options.to,
+            screen,
+            form=options.format,
+            convention=options.convention,
+            fps=options.fps,
+        )
+        if options.format in film.FILMS:
+            for file in answer["files"]:
+                screen.say(f"film: {file}")
+        screen.document(answer)
+        return 0
     written = []
     count = sum(
         int(a.size // (a.sizes["y"] * a.sizes["x"] * a.sizes.get("xyz", 1))) for a in dataset.data_vars.values()

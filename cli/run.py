@@ -32,6 +32,15 @@ def configure(commands: Any) -> None:
     add_run_options(normals)
     normals.set_defaults(handler=handle_normals)
 
+    performance = commands.add_parser(
+        "performance", help="a moving subject: import if need be, run everything, and write the film"
+    )
+    performance.add_argument(
+        "session", nargs="?", metavar="SESSION|FOLDER", help="default: the virtual rig's moving head"
+    )
+    add_run_options(performance)
+    performance.set_defaults(handler=handle_performance)
+
 
 def add_session_options(parser: argparse.ArgumentParser) -> None:
     """What every command that looks at a pipeline laid over a session takes."""
@@ -260,22 +269,68 @@ def _dry_run(options: argparse.Namespace, store: Store, screen: Screen) -> int:
 def handle_normals(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage normals."""
     from cli.demo import demo_session
-    from cli.sessions import import_folder
     from cli.sheet import contact_sheet
-    from store.sessions import session_names
 
     store = Store(options.store)
-    given = options.session
-    if not given:
-        options.session = demo_session(store, screen)
-    elif given not in session_names(store):
-        folder = Path(given).expanduser()
-        if not folder.is_dir():
-            known = ", ".join(session_names(store)) or "none yet"
-            raise RequestError(f"'{given}' is neither a session of {store.root} ({known}) nor a capture folder")
-        options.session = import_folder(folder, store, screen).session.name
+    options.session = (
+        _session_of(options.session, store, screen) if options.session else demo_session(store, screen)
+    )
     summary = run_session(options, store, screen, ())
     sheet = contact_sheet(options.session, store)
     screen.say(f"picture: {sheet}")
     screen.document({**summary, "picture": str(sheet)})
     return 0
+
+
+def handle_performance(options: argparse.Namespace, screen: Screen) -> int:
+    """lightstage performance."""
+    from cli.demo import moving_session
+    from cli.film import session_film
+    from store.sessions import read_session
+
+    store = Store(options.store)
+    options.session = (
+        _session_of(options.session, store, screen) if options.session else moving_session(store, screen)
+    )
+    session = read_session(options.session, store)
+    if session.facts["frame_rate_hz"] is None:
+        raise RequestError(
+            f"session '{session.name}' is static (its capture.yaml has no frame_rate_hz), so there is no film of it; "
+            f"`lightstage normals {session.name}` draws its picture"
+        )
+    summary = run_session(options, store, screen, ())
+    film = session_film(session, _filmed(summary, options), store, screen)
+    screen.say(f"film: {film}")
+    screen.document({**summary, "film": str(film)})
+    return 0
+
+
+def _filmed(summary: Mapping[str, Any], options: argparse.Namespace) -> str:
+    """The last node of a run that has a normal at every frame, or else the last at every tracking frame."""
+    from store.grid import open_dataset
+
+    for dim in ("frame", "tracking"):
+        for name, node in reversed(summary["nodes"].items()):
+            if node["path"] is None:
+                continue
+            dataset = open_dataset(Path(node["path"]))
+            if "normal" in dataset and dataset["normal"].sizes.get(dim, 0) > 1:
+                return str(name)
+    raise RequestError(
+        f"no node of {pipeline_path(options.pipeline)} has normals of several frames of session "
+        f"'{options.session}', so there is no film of it"
+    )
+
+
+def _session_of(given: str, store: Store, screen: Screen) -> str:
+    """The session of that name, or the one that a capture folder becomes."""
+    from cli.sessions import import_folder
+    from store.sessions import session_names
+
+    if given in session_names(store):
+        return given
+    folder = Path(given).expanduser()
+    if not folder.is_dir():
+        known = ", ".join(session_names(store)) or "none yet"
+        raise RequestError(f"'{given}' is neither a session of {store.root} ({known}) nor a capture folder")
+    return import_folder(folder, store, screen).session.name
