@@ -17,7 +17,7 @@ import os
 import subprocess
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -184,7 +184,8 @@ def angle_deg(normal: "NDArray[np.float32]", before: "NDArray[np.float32]") -> "
     import numpy as np
 
     across = np.linalg.norm(np.cross(normal, before), axis=-1)
-    return np.degrees(np.arctan2(across, np.sum(normal * before, axis=-1))).astype(np.float32)
+    angle: NDArray[np.float32] = np.degrees(np.arctan2(across, np.sum(normal * before, axis=-1))).astype(np.float32)
+    return angle
 
 
 def as_colour(normal: "NDArray[np.float32]", convention: str) -> "NDArray[np.uint8]":
@@ -400,12 +401,15 @@ def _encoder(temporary: Path, path: Path, size: tuple[int, int], fps: float) -> 
                 yield process.stdin.write
                 process.stdin.close()
             except BrokenPipeError:
-                pass  # it has ended early, and says below why
+                with suppress(BrokenPipeError):  # it has ended early, and says below why
+                    process.stdin.close()
             code = process.wait()
         finally:
             if process.poll() is None:
                 process.kill()
                 process.wait()
+                with suppress(BrokenPipeError):
+                    process.stdin.close()
         said.seek(0)
         text = said.read().decode(errors="replace").strip()
     if code:

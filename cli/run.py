@@ -295,7 +295,7 @@ def handle_performance(options: argparse.Namespace, screen: Screen) -> int:
     session = read_session(options.session, store)
     if session.facts["frame_rate_hz"] is None:
         raise RequestError(
-            f"session '{session.name}' is static (its capture.yaml has no frame_rate_hz), so there is no film of it; "
+            f"session '{session.name}' is static (its capture.yaml has no frame_rate_hz), so there is no film; "
             f"`lightstage normals {session.name}` draws its picture"
         )
     summary = run_session(options, store, screen, ())
