@@ -28,6 +28,7 @@ from pydantic import Field
 from dag.stage import Arrangement, Grid, Group, Input, Items, Output, Params, Stage, StageError
 from stages.flow_warp import Interpolation, unit
 from stages.in_between import Side, blend, carry, nearness
+from stages.joint_flow import subject_of
 from stages.picture_sets import picture_times
 from stages.rig_normals import quantised
 from stages.spherical_gradients import FILL, STEPS
@@ -49,6 +50,7 @@ def upsample(
     normal: Sequence[Image],
     flow: Sequence[Image],
     confidence: Sequence[Image],
+    albedo: Sequence[Image],
     *,
     away: Sequence[float],
     weights: str,
@@ -61,6 +63,7 @@ def upsample(
         normal: per tracking frame, (band, xyz, y, x) unit vectors, NaN where not valid.
         flow: per tracking frame, (xy, y, x), pixels, from its grid to the picture.
         confidence: of each flow, (y, x), 0 to 1.
+        albedo: per tracking frame, (band, y, x): normals of the dark around the subject are noise, and are left out.
         away: time from the picture to each tracking frame, in any unit; 0 if the picture is it.
         weights, inverse, interpolation: see UpsampleParams.
 
@@ -68,9 +71,10 @@ def upsample(
         `normal` (xyz, y, x) int16 of unit vectors, bands as one; `confidence` (y, x) float32, 0 to 1.
     """
     sides = []
-    for n, f, c in zip(normal, flow, confidence, strict=True):
+    for n, f, c, a in zip(normal, flow, confidence, albedo, strict=True):
         # NaN in a band is no vote
         whole = unit(np.nansum(n, axis=0)) if len(n) > 1 else n[0]
+        whole = np.where(subject_of(np.nansum(a, axis=0)), whole, np.float32(np.nan))
         if len(away) == 1 and away[0] == 0:
             known = np.isfinite(whole[0])
             return _result(Side(whole, np.where(known, c, np.float32(0))))
@@ -113,10 +117,11 @@ def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: UpsamplePa
         before = sorted((s for s in sides[picture] if s[0] < 0), reverse=True)[:1]
         after = sorted(s for s in sides[picture] if s[0] > 0)[:1]
         chosen = own or before + after
+        tracked = [{"tracking": n} for _, n, _, _ in chosen]
         flows = [{"tracking": a, "member": m} for _, _, a, m in chosen]
         groups.append(
             Group(
-                {"normal": [{"tracking": n} for _, n, _, _ in chosen], "flow": flows, "confidence": flows},
+                {"normal": tracked, "albedo": tracked, "flow": flows, "confidence": flows},
                 {"away": [side[0] for side in chosen]},
             )
         )
@@ -145,6 +150,7 @@ STAGE = Stage(
     params=UpsampleParams,
     inputs={
         "normal": Input("normal", ("tracking", "band", "xyz", "y", "x"), "group"),
+        "albedo": Input("albedo", ("tracking", "band", "y", "x"), "group"),
         "flow": Input("flow", ("tracking", "member", "xy", "y", "x"), "group", source=1),
         "confidence": Input("confidence", ("tracking", "member", "y", "x"), "group", source=1),
     },
