@@ -22,6 +22,15 @@ import yaml
 
 ROOT = Path(__file__).resolve().parent.parent
 SIZE = (1624, 1236)
+STILL = """\
+stages:
+  capture:  {uses: capture}
+  register: {uses: register, from: capture}
+  split:    {uses: split,    from: register}
+  stack:    {uses: stack,    from: split}
+  normals:  {uses: normals,  from: stack}
+"""
+"""What the plain loop does: no alignment."""
 
 
 def command(store: Path, *words: str | Path) -> list[str]:
@@ -87,6 +96,7 @@ def plain_loop(raw: Path, items: dict[str, Any], facts: dict[str, Any], target: 
     from zarr.codecs import BloscCodec
 
     from stages import normals, register, split, stack
+    from stages.picture_sets import choose, chosen_sets, windows
 
     cv2.setNumThreads(1)
     zarr.config.set({"async.concurrency": 1, "threading.max_workers": threads})
@@ -107,8 +117,8 @@ def plain_loop(raw: Path, items: dict[str, Any], facts: dict[str, Any], target: 
         for name in ("register", "split", "stack")
     }
     valid = array("valid", (frames, 1, *image), (1, 1, *image), "bool", False)
-    choice = normals.choose([*"XYZ", "Xc", "Yc", "Zc", "C"])
-    sets = normals._sets(list(facts["illumination"]), facts["frame_rate_hz"] is not None, normals.NormalsParams())
+    choice = choose([*"XYZ", "Xc", "Yc", "Zc", "C"])
+    sets = chosen_sets(windows(facts["illumination"]), method="auto", base="auto", correct="none", whole="")
     normal = array("normal", (len(sets), 1, 3, *image), (1, 1, 3, *image), "int16", -32768)
     others = {n: array(n, (len(sets), 1, *image), (1, 1, *image), "float32", np.nan) for n in ("albedo", "norm")}
     found = array("found", (len(sets), 1, *image), (1, 1, *image), "bool", False)
@@ -121,7 +131,7 @@ def plain_loop(raw: Path, items: dict[str, Any], facts: dict[str, Any], target: 
         outs["stack"][i, 0] = stack.stack([parts], counts_per_radiance=130.0)["radiance"]
 
     def tracking(k: int) -> None:
-        _, chosen, place = sets[k]
+        (_, place), chosen = sets[k]
         names = list(chosen.pictures)
         radiance = [outs["stack"][place[name], 0, 0] for name in names]
         made = normals.normals(
@@ -164,6 +174,8 @@ def compare_with_plain_loop(work: Path, folder: Path, rounds: int) -> None:
         if item.pictures:
             items[kind]["pictures"] = {c: _Loaded(p.load(store)) for c, p in item.pictures.items()}
     count = session.sizes["frame"] * session.sizes["polarisation"]
+    still = work / "still.yaml"
+    still.write_text(STILL)
     seconds: dict[str, list[float]] = {
         "ours, run": [],
         "ours, whole process": [],
@@ -173,7 +185,7 @@ def compare_with_plain_loop(work: Path, folder: Path, rounds: int) -> None:
     for i in range(rounds):
         mine = work / f"ours{i}"
         shutil.copytree(base, mine, symlinks=True)
-        wall, _, out = timed(command(mine, "run", "--session", name, "--json"))
+        wall, _, out = timed(command(mine, "run", "--session", name, "--pipeline", still, "--json"))
         seconds["ours, whole process"].append(wall)
         seconds["ours, run"].append(json.loads(out)["seconds"])
         shutil.rmtree(mine)

@@ -63,7 +63,7 @@ def upsample(
         normal: per tracking frame, (band, xyz, y, x) unit vectors, NaN where not valid.
         flow: per tracking frame, (xy, y, x), pixels, from its grid to the picture.
         confidence: of each flow, (y, x), 0 to 1.
-        albedo: per tracking frame, (band, y, x): normals of the dark around the subject are noise, and are left out.
+        albedo: per tracking frame, (band, y, x): the dark around the subject has no normals, only noise.
         away: time from the picture to each tracking frame, in any unit; 0 if the picture is it.
         weights, inverse, interpolation: see UpsampleParams.
 
