@@ -104,7 +104,8 @@ def result_attrs(state: State, node: NodeState) -> dict[str, Any]:
     plan = node.plan
     chosen = [r for r, selected in zip(node.records, node.selected, strict=True) if r is not None and selected]
     names = sorted({name for record in chosen for name in record.stats})
-    stats = {name: float(np.mean([record.stats[name] for record in chosen])) for name in names}
+    # a block whose pictures do not tell a figure has none
+    stats = {name: float(np.mean([r.stats[name] for r in chosen if name in r.stats])) for name in names}
     attrs = {**{k: v for k, v in plan.grid.attrs.items() if v != ""}, **stats}
     warnings = [sentence for record in chosen for sentence in record.warnings]
     if warnings:

@@ -260,8 +260,12 @@ def _misplaced(
     """Members that cannot be what they are called, before any alignment."""
     bad, warnings = set(), []
     subject = joint_flow.subject_of(member[here])
+    if not subject.any():
+        return set(member) - {here}, [
+            f"{called[here]} is black, so nothing can be aligned to it; its set is left out"
+        ]
     for m, picture in member.items():
-        if m == here or not subject.any():
+        if m == here:
             continue
         part = float(np.nanmean(picture[subject]) / np.nanmean(member[here][subject]))
         if not part > _BLACK:

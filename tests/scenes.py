@@ -1,6 +1,7 @@
 """Truth for tests, made without any kernel and without `hw`: closed forms, and capture folders written by hand."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +9,7 @@ import cv2
 import numpy as np
 import yaml
 from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
 
 GRADIENTS = ("X", "Y", "Z", "Xc", "Yc", "Zc")
 STATIC = ("C", *GRADIENTS)
@@ -170,3 +172,95 @@ def near_ball(
         "world_to_camera": {"R": [[1, 0, 0], [0, -1, 0], [0, 0, -1]], "t_mm": [0, 0, camera_mm]},
     }
     return pictures, np.where(mask, normals, np.nan), depth, camera
+
+
+MINIMAL = ("X", "Z", "C", "Y", "Xc", "C", "Zc", "Yc", "C", "X", "Z", "C")
+"""Three windows with a full set, and a last tracking frame without one."""
+
+
+@dataclass(frozen=True)
+class Performer:
+    """A textured ellipsoid that slides and stretches; what is at x at time 0 is at x + v(x) t + a(x) t^2 at time t.
+
+    v and a are sums of cosines of the place, in pixels per picture. Normals travel with the surface and do not
+    turn, so complements add up to constant light exactly, but for noise.
+    """
+
+    shape: tuple[int, int] = (124, 164)
+    speed_px: float = 1.2
+    bend_px: float = 0.15
+    seed: int = 0
+
+    def moved(self, time: float, x: Array, y: Array) -> Array:
+        """(xy, y, x), pixels, from time 0."""
+        size = self.shape[1]
+        a, b = 2 * np.pi * x / size, 2 * np.pi * y / size
+        velocity = np.stack([0.8 + 0.2 * np.cos(b + self.seed), 0.3 * np.cos(a) - 0.4 * np.sin(b)])
+        change = np.stack([np.cos(0.7 * a + 1), np.cos(0.7 * b - 1 + self.seed)])
+        return np.asarray(self.speed_px * time * velocity + self.bend_px * time**2 * change / np.sqrt(2))
+
+    def origin(self, time: float) -> tuple[Array, Array]:
+        """x and y at time 0 of what is at each pixel at a time; solved to 1e-6 px."""
+        y, x = np.mgrid[0 : self.shape[0], 0 : self.shape[1]].astype(float)
+        at = x, y
+        for _ in range(100):
+            u = self.moved(time, *at)
+            new = x - u[0], y - u[1]
+            change = max(np.abs(n - o).max() for n, o in zip(new, at, strict=True))
+            at = new
+            if change < 1e-6:
+                return at
+        raise ValueError("the motion folds the picture")
+
+    def flow(self, tracking: float, time: float) -> Array:
+        """(xy, y, x): what is at x at time `tracking` is at x + flow(x) at `time`."""
+        at = self.origin(tracking)
+        return self.moved(time, *at) - self.moved(tracking, *at)
+
+    def surface(self, time: float) -> tuple[Array, Array, Array]:
+        """Albedo, normals (xyz, y, x), and the inside, where all is away from rim and border."""
+        x, y = self.origin(time)
+        height, width = self.shape
+        px, py = (x - width / 2) / (0.38 * width), (y - height / 2) / (0.42 * height)
+        square = px**2 + py**2
+        hills = [0.08 * np.cos(0.23 * x + self.seed), 0.08 * np.sin(0.19 * y - 0.07 * x)]
+        normal = np.stack([0.8 * px + hills[0], -0.8 * py + hills[1], np.ones_like(x)])
+        normal /= np.linalg.norm(normal, axis=0)
+        # beyond the picture is a periodic continuation: what comes in at the border has a texture of its own
+        fine = map_coordinates(self._texture(), [y, x], order=3, mode="grid-wrap")
+        rim = np.clip((1 - np.sqrt(square)) * 0.38 * width + 0.5, 0, 1)
+        inner = square < 0.85
+        inner[:8] = inner[-8:] = inner[:, :8] = inner[:, -8:] = False
+        return (0.7 + 0.08 * fine) * rim, normal, inner
+
+    def _texture(self) -> Array:
+        generator = np.random.default_rng([self.seed, 5])
+        sums = np.zeros(self.shape)
+        for sigma in (1.3, 3.0, 8.0):
+            noise = cv2.GaussianBlur(
+                generator.normal(size=self.shape), (0, 0), sigma, borderType=cv2.BORDER_REFLECT
+            )
+            sums += noise / noise.std()
+        return np.clip(sums, -3, 3)
+
+    def picture(self, time: float, illumination: str, *, noise: int | None = 0) -> Array:
+        """Counts of 10 bits, 10 electrons each, with shot noise and 10 electrons of read noise; None: neither."""
+        albedo, normal, _ = self.surface(time)
+        counts = 950 * ideal_gradient(normal, illumination, albedo)
+        if noise is None:
+            return counts
+        generator = np.random.default_rng([noise, round(1000 * time) % 2**32])
+        electrons = 10 * counts
+        electrons = electrons + generator.normal(size=electrons.shape) * np.sqrt(electrons + 100)
+        return np.round(np.clip(electrons / 10, 0, 1023)).astype(np.uint16)
+
+
+def performance_capture(
+    folder: Path, performer: Performer, illumination: Sequence[str] = MINIMAL, **replaced: Array
+) -> Path:
+    """One camera, 60 pictures a second, time in pictures; `f4=...` replaces picture 4."""
+    pictures = {
+        (i, 0, "cross"): replaced.get(f"f{i}", performer.picture(i, name)) for i, name in enumerate(illumination)
+    }
+    frames = [{"illumination": name, "time_s": i / 60} for i, name in enumerate(illumination)]
+    return write_capture(folder, pictures, illumination=illumination, frames=frames, frame_rate_hz=60.0)

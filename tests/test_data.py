@@ -292,3 +292,72 @@ def test_changed_lights_cost_the_normals_that_use_them_and_no_others(data: Path,
     item = calibrate(tmp_path / "store", "lights", data / "rendered/mirrorball")["answer"]["item"]
     assert run_process("calibration", "use", item, "--session", "static-sphere", store=store).returncode == 0
     assert computed() == {"register": 0, "split": 0, "stack": 0, "plain": 0, "near": 1}
+
+
+def true_flow(folder: Path, tracking: int, frame: int) -> tuple[np.ndarray, np.ndarray] | None:
+    """(xy, y, x) pixels from a tracking frame to a picture, and where the point is seen in both."""
+    stored = np.load(folder / "truth" / f"flow_t{tracking:02d}.npz")
+    name = f"t{frame:02d}"
+    if f"flow_to_{name}" not in stored:
+        near = [k for k in ("prevC", "nextC") if f"t_{k}" in stored and int(stored[f"t_{k}"]) == frame]
+        if not near:
+            return None
+        name = near[0]
+    return np.moveaxis(stored[f"flow_to_{name}"].astype(np.float32), 2, 0), stored[f"visible_{name}"]
+
+
+def pose(folder: Path, frame: int) -> tuple[np.ndarray, np.ndarray]:
+    stored = np.load(folder / "truth" / f"gt_t{frame:02d}.npz")
+    truth = np.moveaxis(stored["normal"].astype(float), 2, 0)
+    truth /= np.linalg.norm(truth, axis=0) + 1e-30
+    return truth, stored["mask"] & (np.abs(truth).sum(axis=0) > 0)
+
+
+@pytest.mark.parametrize(("speed", "pixels", "degrees"), [("slow", 0.25, 0.5), ("fast", 0.45, 1.5)])
+def test_alignment_of_rendered_performances(
+    run: Run, data: Path, speed: str, pixels: float, degrees: float
+) -> None:
+    """Flows against the rendered ones; normals against those that the true flow gives with the same pictures."""
+    from stages.flow_warp import warp
+    from stages.picture_sets import choose
+
+    capture = f"rendered/dynamic_A_{speed}_minimal"
+    folder = data / capture
+    align = xarray.open_zarr(run(capture, "align"), chunks=None)
+    normals = xarray.open_zarr(run(capture, "normals"), chunks=None)
+    every = xarray.open_zarr(run(capture, "upsample"), chunks=None)
+    radiance = xarray.open_zarr(run(capture, "stack"), chunks=None).radiance.values[:, 0, 0]
+    errors, confidences, own = [], [], {}
+    for k, tracking in enumerate(align.tracking.values):
+        truth, mask = pose(folder, tracking)
+        straight = {"C": radiance[tracking]}
+        for m, frame in enumerate(align.frame.values[k]):
+            known = true_flow(folder, tracking, frame) if frame >= 0 and frame != tracking else None
+            if known is None:
+                continue
+            flow, visible = known
+            error = np.hypot(*(align.flow.values[k, m] - flow))
+            inside = mask & visible & np.isfinite(error)
+            errors.append(error[inside])
+            confidences.append(align.confidence.values[k, m][inside])
+            straight[str(align.illumination.values[k, m])] = warp(radiance[frame], flow)
+        base = choose(list(straight)).base
+        r_c = straight[base] + straight[base + "c"]
+        right = np.stack(
+            [2 * straight[a] - r_c if a in straight else r_c - 2 * straight[a + "c"] for a in "XYZ"]
+        ).astype(float)
+        right /= np.linalg.norm(right, axis=0) + 1e-30
+        found = normals.normal.values[list(normals.tracking.values).index(tracking), 0]
+        off, ideal = angle(found, truth), angle(right, truth)
+        both = mask & np.isfinite(off) & np.isfinite(right[0]) & np.isfinite(ideal)
+        own[int(tracking)] = off[mask & np.isfinite(off)].mean()
+        assert off[both].mean() - ideal[both].mean() < degrees, tracking
+    error, confidence = np.concatenate(errors), np.concatenate(confidences)
+    assert error.mean() < pixels
+    if speed == "fast":
+        assert (confidence[error > 1] < 0.5).mean() > 0.9
+    for i, frame in enumerate(every.frame.values):
+        truth, mask = pose(folder, frame)
+        off = angle(every.normal.values[i], truth)
+        nearest = min(own, key=lambda t: abs(t - int(frame)))
+        assert off[mask & np.isfinite(off)].mean() < own[nearest] + 1, frame
