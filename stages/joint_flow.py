@@ -297,7 +297,7 @@ def _prepared(
 ) -> _Level:
     if finest:
         images = [cv2.GaussianBlur(i, (0, 0), _PREFILTER_PX) for i in images]
-    fine = [_fine(i, subject if k == 0 else i > 0.01) for k, i in enumerate(images)]
+    fine = [fine_texture(i, subject if k == 0 else i > 0.01) for k, i in enumerate(images)]
     inner = cv2.erode(subject.astype(np.uint8), np.ones((2 * _MARGIN_PX + 1,) * 2, np.uint8)) > 0
     both = np.empty((len(images) - 1, *subject.shape, 2), np.float32)
     for image, texture, out in zip(images[1:], fine[1:], both, strict=True):
@@ -311,7 +311,7 @@ def _less_smooth(image: Image) -> Image:
     return np.asarray(cv2.addWeighted(image, 1.0, mean, _KEPT_SMOOTH - 1, 0.0, dst=mean))
 
 
-def _fine(image: Image, lit: NDArray[np.bool_]) -> Image:
+def fine_texture(image: Image, lit: NDArray[np.bool_]) -> Image:
     """n: texture relative to the local mean, less what is smooth; 0 where not lit. In place where it can be."""
     weight = lit.astype(np.float32)
     part = cv2.GaussianBlur(weight, (0, 0), _SIGMA_PX)

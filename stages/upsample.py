@@ -48,9 +48,9 @@ class UpsampleParams(Params):
 
 def upsample(
     normal: Sequence[Image],
+    albedo: Sequence[Image],
     flow: Sequence[Image],
     confidence: Sequence[Image],
-    albedo: Sequence[Image],
     *,
     away: Sequence[float],
     weights: str,
@@ -61,9 +61,9 @@ def upsample(
 
     Args:
         normal: per tracking frame, (band, xyz, y, x) unit vectors, NaN where not valid.
+        albedo: per tracking frame, (band, y, x): the dark around the subject has no normals, only noise.
         flow: per tracking frame, (xy, y, x), pixels, from its grid to the picture.
         confidence: of each flow, (y, x), 0 to 1.
-        albedo: per tracking frame, (band, y, x): the dark around the subject has no normals, only noise.
         away: time from the picture to each tracking frame, in any unit; 0 if the picture is it.
         weights, inverse, interpolation: see UpsampleParams.
 

@@ -26,7 +26,8 @@ def still(x: float = 0) -> Any:
 def call(normal: Any, flow: Any, away: Any, confidence: Any = None, **options: Any) -> Any:
     settings = {"weights": "nearness", "inverse": "proper", "interpolation": "cubic"} | options
     sure = confidence or [np.ones(n.shape[-2:], np.float32) for n in normal]
-    return upsample(normal, flow, sure, away=away, **settings)
+    lit = [np.ones((len(n), *n.shape[-2:]), np.float32) for n in normal]
+    return upsample(normal, lit, flow, sure, away=away, **settings)
 
 
 @pytest.mark.parametrize(("weights", "wanted"), [("nearness", 2), ("printed", 4), ("equal", 3)])
