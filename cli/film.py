@@ -211,7 +211,7 @@ def as_map(change_deg: "NDArray[np.float32] | None", top_deg: float, shape: tupl
 
     if change_deg is None:
         return np.full((*shape, 3), NO_CHANGE_RGB, np.uint8)
-    colour: NDArray[np.uint8] = _scale()[_bytes(change_deg / np.float32(top_deg))]
+    colour: NDArray[np.uint8] = colours()[_bytes(change_deg / np.float32(top_deg))]
     colour[~np.isfinite(change_deg)] = 0
     return colour
 
@@ -222,7 +222,7 @@ def _bytes(unit: Any) -> Any:
     return np.nan_to_num(np.round(np.clip(unit, 0, 1) * 255), nan=0.0).astype(np.uint8)
 
 
-def _scale() -> Any:
+def colours() -> Any:
     """256 colours (rgb), viridis: its 0 is purple, so that black is free to say 'no normal'."""
     import cv2
     import numpy as np
@@ -285,14 +285,14 @@ class Layout:
         foot = self.top + self.panel[1]
         bar = min(self.panel[0], 256)
         left = self.left(2)
-        canvas[foot + 8 : foot + 20, left : left + bar] = _scale()[np.linspace(0, 255, bar).astype(int)]
+        canvas[foot + 8 : foot + 20, left : left + bar] = colours()[np.linspace(0, 255, bar).astype(int)]
         image = Image.fromarray(canvas)
         draw = ImageDraw.Draw(image)
-        small = _font(13)
+        small = font(13)
         for panel, title in enumerate(
             ("normals", "relit: n · l, one light upper left", "change since the frame before")
         ):
-            draw.text((self.left(panel), _HEAD + 3), title, fill=(225, 225, 225), font=_font(15))
+            draw.text((self.left(panel), _HEAD + 3), title, fill=(225, 225, 225), font=font(15))
         draw.text((self.left(0), foot + 6), _GREEN[self._convention], fill=(170, 170, 170), font=small)
         draw.text((self.left(1), foot + 6), "black: no normal, or in shade", fill=(170, 170, 170), font=small)
         for at, text, anchor in (
@@ -323,7 +323,7 @@ class Layout:
             )
         image = Image.fromarray(canvas)
         draw = ImageDraw.Draw(image)
-        draw.text((_GAP, 8), caption, fill=(255, 255, 255), font=_font(17))
+        draw.text((_GAP, 8), caption, fill=(255, 255, 255), font=font(17))
         if change is None:
             said = "no frame before"
         elif np.isfinite(change).any():
@@ -331,7 +331,7 @@ class Layout:
         else:
             said = "no normals to compare"
         right = self.left(2) + self.panel[0]
-        draw.text((right, _HEAD + 3), said, fill=(255, 255, 255), font=_font(15), anchor="ra")
+        draw.text((right, _HEAD + 3), said, fill=(255, 255, 255), font=font(15), anchor="ra")
         return np.asarray(image)
 
 
@@ -342,7 +342,7 @@ def _even(size: int) -> int:
 _fonts: dict[int, "FreeTypeFont"] = {}
 
 
-def _font(size: int) -> "FreeTypeFont":
+def font(size: int) -> "FreeTypeFont":
     """The font that matplotlib brings; OpenCV's has no degree sign."""
     import matplotlib
     from PIL import ImageFont
