@@ -53,7 +53,8 @@ _DOUBTED = 0.05
 _MISFIT = 0.15
 """Relative violation of the complement constraint, over a few pixels, that halves confidence. A head that turns by
 some degrees within a window stays below it; a hand, or another picture, does not."""
-_LEAST_PX = 24
+_LEAST_PX = 12
+"""For `motion`; the others take twice that, because their flows have a pyramid."""
 _UNKNOWN = 0.25
 """Confidence of pictures of a moving subject that were not aligned."""
 _TEXTURED = 0.5
@@ -448,15 +449,15 @@ def _residual(
 def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: AlignParams) -> Arrangement:
     (stacked,) = grids
     performance = "frame" in stacked.sizes
-    least = min(stacked.sizes["y"], stacked.sizes["x"])
-    if params.engine != "none" and (performance or params.engine != "auto") and least < _LEAST_PX:
+    engine = params.engine if params.engine != "auto" else ("motion" if performance else "none")
+    least = {"none": 1, "motion": _LEAST_PX}.get(engine, 2 * _LEAST_PX)
+    if min(stacked.sizes["y"], stacked.sizes["x"]) < least:
         raise StageError(
             f"pictures of {stacked.sizes['x']} x {stacked.sizes['y']} are too small to be aligned; "
-            f"{_LEAST_PX} pixels a side are needed, or engine: none"
+            f"engine: {engine} needs {least} pixels a side"
         )
     dim = "frame" if performance else "illumination"
     names, frames = list(stacked.along("illumination")), list(stacked.along("frame"))
-    engine = params.engine if params.engine != "auto" else ("motion" if performance else "none")
     taken = picture_times(facts)
     when = [taken[frame] for frame in frames]
     sets = _sets(names, performance, engine)
