@@ -53,6 +53,7 @@ bench: $(VENV)/.developer  ## every figure of README and docs, measured anew
 docs: $(VENV)/.developer  ## the figures and tables in docs/ (needs ../shared/data)
 	@$(BIN)/python -m benchmarks.accuracy
 	@$(BIN)/python -m benchmarks.near_light
+	@$(BIN)/python -m benchmarks.alignment
 	@$(BIN)/python -m benchmarks.moving
 	@$(RUN) sequence count --upto 30 --plot docs/figures/sequence_count.png
 
