@@ -39,8 +39,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from stages.block_grid import FLAGS, MASS, edges_of, minimise
+
 Image = NDArray[np.float32]
-_FLAGS = {"nogil": True, "cache": True, "error_model": "numpy", "fastmath": {"contract", "nsz", "arcp", "reassoc"}}
 DARK = 0.03
 """Of the bright end of c: what is darker is taken for background."""
 _SIGMA_PX, _SMOOTH_PX, _KEPT_SMOOTH = 2.0, 4.0, 0.4
@@ -53,14 +54,10 @@ _DIRECT = 0.15
 _EDGE = 5.0
 """Bending energy from which a place counts as an edge of the motion."""
 _ROOT_FLOOR = np.float32(0.02)
-_TRACE = 1e-3
-"""Keeps a motion that no pixel tells at rest."""
 _RIM_PART = np.float32(2.1)
 _SWAY = 5.2
 """So much larger than these two is the error: nine in ten of the pixels that are wrong by more than a pixel have
 more doubt than that."""
-_MASS = np.array([[4, 2, 2, 1], [2, 4, 1, 2], [2, 1, 4, 2], [1, 2, 2, 4]]) / 36.0
-"""Integrals of the products of a cell's four bilinear basis functions."""
 
 
 class Flows(NamedTuple):
@@ -236,13 +233,13 @@ def _solve(
         sparse = max(1, round(step / 12))
         for turn in range(warps[min(depth - 1 - level, len(warps) - 1)]):
             hessian, gradient = _linearised(at, theta, terms, step, sparse, turn)
-            edges = _edges(theta, weights, _EDGE)
+            edges = edges_of(theta, weights, _EDGE)
             before = theta
-            theta = before + _minimise(hessian, gradient, before, weights, edges, _MASS)
+            theta = before + minimise(hessian, gradient, before, weights, edges, MASS)
     # how much of the solution is the prior's; at the nodes, which is as fine as it varies
     swayed = np.zeros((*theta.shape[:2], len(pictures)))
     for factor in (10.0, 0.1):
-        away = before + _minimise(hessian, gradient, before, factor * weights, edges, _MASS) - theta
+        away = before + minimise(hessian, gradient, before, factor * weights, edges, MASS) - theta
         moved = np.einsum("mk,yxkc->yxmc", terms.basis, away.reshape(*theta.shape[:2], -1, 2))
         swayed = np.maximum(swayed, np.hypot(moved[..., 0], moved[..., 1]))
     flow = _flows(_at_pixels(theta, (height, width), spacing), terms.basis)
@@ -381,7 +378,7 @@ def _linearised(
     return hessian.astype(np.float64), gradient.astype(np.float64)
 
 
-@njit(**_FLAGS)
+@njit(**FLAGS)
 def _sum_up(
     constant: Image,
     smooth_less: Image,
@@ -515,7 +512,7 @@ def _sum_up(
                         hessian[cell_y, cell_x, e, f] = hessian[cell_y, cell_x, f, e] = square[e, f]
 
 
-@njit(inline="always", **_FLAGS)
+@njit(inline="always", **FLAGS)
 def _cubic(t: np.float32, weight: Image, slope: Image) -> None:
     """Keys' cubic with a = -1/2 at fraction t behind the second of four samples, and its derivative."""
     half, two = np.float32(0.5), np.float32(2)
@@ -529,140 +526,3 @@ def _cubic(t: np.float32, weight: Image, slope: Image) -> None:
     slope[1] = np.float32(4.5) * t2 - np.float32(5) * t
     slope[2] = np.float32(-4.5) * t2 + np.float32(4) * t + half
     slope[3] = np.float32(1.5) * t2 - t
-
-
-@njit(**_FLAGS)
-def _bent(x: NDArray[np.float64], weights: NDArray[np.float64], edges: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The bending term's gradient at x (row, column, D)."""
-    rows, columns, size = x.shape
-    out = np.zeros_like(x)
-    for j in range(rows):
-        for i in range(columns):
-            for k in range(size):
-                if 0 < i < columns - 1:
-                    d = edges[0, j, i] * weights[k] * (x[j, i - 1, k] - 2 * x[j, i, k] + x[j, i + 1, k])
-                    out[j, i - 1, k] += d
-                    out[j, i, k] -= 2 * d
-                    out[j, i + 1, k] += d
-                if 0 < j < rows - 1:
-                    d = edges[1, j, i] * weights[k] * (x[j - 1, i, k] - 2 * x[j, i, k] + x[j + 1, i, k])
-                    out[j - 1, i, k] += d
-                    out[j, i, k] -= 2 * d
-                    out[j + 1, i, k] += d
-                if i < columns - 1 and j < rows - 1:
-                    d = x[j, i, k] - x[j, i + 1, k] - x[j + 1, i, k] + x[j + 1, i + 1, k]
-                    d *= 2 * edges[2, j, i] * weights[k]
-                    out[j, i, k] += d
-                    out[j, i + 1, k] -= d
-                    out[j + 1, i, k] -= d
-                    out[j + 1, i + 1, k] += d
-    return out
-
-
-@njit(**_FLAGS)
-def _edges(x: NDArray[np.float64], weights: NDArray[np.float64], limit: float) -> NDArray[np.float64]:
-    """Robust weights (3, row, column) of the second differences along x, along y, and mixed."""
-    rows, columns, size = x.shape
-    out = np.ones((3, rows, columns))
-    for j in range(rows):
-        for i in range(columns):
-            across, down, mixed = 0.0, 0.0, 0.0
-            for k in range(size):
-                if 0 < i < columns - 1:
-                    across += weights[k] * (x[j, i - 1, k] - 2 * x[j, i, k] + x[j, i + 1, k]) ** 2
-                if 0 < j < rows - 1:
-                    down += weights[k] * (x[j - 1, i, k] - 2 * x[j, i, k] + x[j + 1, i, k]) ** 2
-                if i < columns - 1 and j < rows - 1:
-                    mixed += (
-                        2 * weights[k] * (x[j, i, k] - x[j, i + 1, k] - x[j + 1, i, k] + x[j + 1, i + 1, k]) ** 2
-                    )
-            out[0, j, i], out[1, j, i], out[2, j, i] = (
-                1 / (1 + across / limit),
-                1 / (1 + down / limit),
-                1 / (1 + mixed / limit),
-            )
-    return out
-
-
-@njit(**_FLAGS)
-def _applied(
-    hessian: NDArray[np.float64],
-    x: NDArray[np.float64],
-    weights: NDArray[np.float64],
-    edges: NDArray[np.float64],
-    mass: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """(data + bending + a trace of the identity) x; a cell's data matrix is taken as constant within it."""
-    rows, columns, size = x.shape
-    out: NDArray[np.float64] = _bent(x, weights, edges) + _TRACE * x
-    product = np.zeros((4, size))
-    for j in range(rows - 1):
-        for i in range(columns - 1):
-            h = hessian[j, i]
-            if h[0, 0] == 0.0 and h[1, 1] == 0.0:
-                continue
-            for q in range(4):
-                for e in range(size):
-                    total = 0.0
-                    for f in range(size):
-                        total += h[e, f] * x[j + (q >> 1), i + (q & 1), f]
-                    product[q, e] = total
-            for r in range(4):
-                for e in range(size):
-                    total = 0.0
-                    for q in range(4):
-                        total += mass[r, q] * product[q, e]
-                    out[j + (r >> 1), i + (r & 1), e] += total
-    return out
-
-
-@njit(**_FLAGS)
-def _minimise(
-    hessian: NDArray[np.float64],
-    gradient: NDArray[np.float64],
-    theta: NDArray[np.float64],
-    weights: NDArray[np.float64],
-    edges: NDArray[np.float64],
-    mass: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """The Gauss-Newton step: conjugate gradients, with the diagonal blocks as preconditioner."""
-    rows, columns, size = theta.shape
-    blocks = np.zeros((rows, columns, size, size))
-    for j in range(rows - 1):
-        for i in range(columns - 1):
-            for q in range(4):
-                blocks[j + (q >> 1), i + (q & 1)] += mass[q, q] * hessian[j, i]
-    for j in range(rows):
-        for i in range(columns):
-            for k in range(size):
-                blocks[j, i, k, k] += 14 * weights[k] + _TRACE
-            blocks[j, i] = np.linalg.inv(blocks[j, i])
-    step = np.zeros_like(theta)
-    rest = -(gradient + _bent(theta, weights, edges) + _TRACE * theta)
-    direction = _by_blocks(blocks, rest)
-    energy = np.sum(rest * direction)
-    first = energy
-    for _ in range(60):
-        if energy <= 1e-4 * first:
-            break
-        pushed = _applied(hessian, direction, weights, edges, mass)
-        length = energy / np.sum(direction * pushed)
-        step += length * direction
-        rest -= length * pushed
-        turned = _by_blocks(blocks, rest)
-        after = np.sum(rest * turned)
-        direction = turned + (after / energy) * direction
-        energy = after
-    return step
-
-
-@njit(**_FLAGS)
-def _by_blocks(blocks: NDArray[np.float64], x: NDArray[np.float64]) -> NDArray[np.float64]:
-    rows, columns, size = x.shape
-    out = np.zeros_like(x)
-    for j in range(rows):
-        for i in range(columns):
-            for e in range(size):
-                for f in range(size):
-                    out[j, i, e] += blocks[j, i, e, f] * x[j, i, f]
-    return out
