@@ -47,7 +47,7 @@ def handle_status(options: argparse.Namespace, screen: Screen) -> int:
     for name in [options.session] if one else session_names(store):
         options.session = name
         try:
-            state = look_up(plan_for(options, store), store, frames=parse_frames(options.frames))
+            state = look_up(plan_for(options, store, made=True), store, frames=parse_frames(options.frames))
         except RequestError as error:
             if one:
                 raise
@@ -80,7 +80,7 @@ def handle_why(options: argparse.Namespace, screen: Screen) -> int:
     from store.errors import RequestError
 
     store = Store(options.store, create=False)
-    state = look_up(plan_for(options, store), store, frames=parse_frames(options.frames))
+    state = look_up(plan_for(options, store, [options.node]), store, frames=parse_frames(options.frames))
     known = [name for name, node in state.nodes.items() if not node.plan.node.stage.is_source]
     if options.node not in known:
         raise RequestError(f"there is no result of a node '{options.node}'{nearest(options.node, known)}")
@@ -117,7 +117,8 @@ def handle_graph(options: argparse.Namespace, screen: Screen) -> int:
         shown = "".join(f", {k}: {v}" for k, v in different.items())
         also = node.above[1:]
         more = f" (and from {', '.join(also)})" if also else ""
-        screen.say(f"{prefix}{branch}{name}: {node.stage.summary}{shown}{more}")
+        when = " (when asked)" if node.asked else ""
+        screen.say(f"{prefix}{branch}{name}: {node.stage.summary}{shown}{more}{when}")
         children = [child for child in below[name] if graph.nodes[child].above[0] == name]
         for i, child in enumerate(children):
             draw(child, prefix + ("" if root else "   " if last else "│  "), i == len(children) - 1, False)
@@ -132,6 +133,7 @@ def handle_graph(options: argparse.Namespace, screen: Screen) -> int:
                 name: {
                     "stage": node.stage.name,
                     "from": list(node.above),
+                    "when": "asked" if node.asked else "always",
                     "parameters": node.params.model_dump(mode="json"),
                     "outputs": {array: list(output.dims) for array, output in node.stage.outputs.items()},
                 }

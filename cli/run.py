@@ -19,7 +19,12 @@ if TYPE_CHECKING:
 def configure(commands: Any) -> None:
     """Add the commands of this file."""
     run = commands.add_parser("run", help="compute nodes of the pipeline for a session")
-    run.add_argument("nodes", nargs="*", metavar="NODE", help="which nodes (default: all)")
+    run.add_argument(
+        "nodes",
+        nargs="*",
+        metavar="NODE",
+        help="which nodes (default: all but those that pipeline.yaml computes when: asked)",
+    )
     add_session_options(run)
     add_run_options(run)
     run.add_argument("--dry-run", action="store_true", help="say what would be computed, and compute nothing")
@@ -104,17 +109,26 @@ def override_items(given: Sequence[str], store: Store) -> "dict[str, Item]":
     return items
 
 
-def plan_for(options: argparse.Namespace, store: Store, nodes: Sequence[str] = ()) -> "Plan":
-    """The pipeline that the options name, laid over their session."""
+def plan_for(options: argparse.Namespace, store: Store, nodes: Sequence[str] = (), *, made: bool = False) -> "Plan":
+    """The pipeline that the options name, laid over their session.
+
+    Args:
+        nodes: which; none for all that a run computes unasked.
+        made: also those that were asked for once and have a result.
+    """
     from dag.graph import load_graph
     from dag.plan import bound_items, check_frames, make_plan
     from stages import TABLE
+    from store.results import current
     from store.sessions import read_session
 
     graph = load_graph(pipeline_path(options.pipeline), TABLE, overrides=getattr(options, "overrides", ()))
     session = read_session(options.session, store)
     check_frames(parse_frames(getattr(options, "frames", None)), session)
     items = bound_items(session, store, override_items(getattr(options, "calibration", ()), store))
+    if made:
+        have = {name for name in graph.nodes if current(session.name, name, store) is not None}
+        nodes = [name for name, node in graph.nodes.items() if not node.asked or name in have]
     return make_plan(graph, session, store, items, nodes)
 
 

@@ -46,6 +46,7 @@ from store.digest import digest_bytes, digest_value
 ENGINE = 1
 
 NUMERIC: Mapping[str, str] = {
+    "colour": "colour-science",
     "cv2": "opencv-contrib-python-headless",
     "numba": "numba",
     "numpy": "numpy",

@@ -8,7 +8,7 @@ import importlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -25,6 +25,7 @@ class _NodeEntry(BaseModel):
     uses: str = Field(description="the stage")
     from_: str | tuple[str, ...] = Field((), alias="from", description="the node or nodes that it reads")
     params: dict[str, Any] | None = Field(None, description="parameters that differ from the stage's defaults")
+    when: Literal["always", "asked"] = Field("always", description="asked: only when a run names it, or needs it")
 
 
 class _PipelineFile(BaseModel):
@@ -42,6 +43,8 @@ class Node:
     module: str
     params: Params
     above: tuple[str, ...]
+    asked: bool = False
+    """Whether a run that names no nodes leaves it out."""
 
 
 @dataclass(frozen=True)
@@ -51,8 +54,13 @@ class Graph:
     nodes: Mapping[str, Node]
     source: str
 
+    @property
+    def usual(self) -> list[str]:
+        """The nodes that a run without names computes."""
+        return [name for name, node in self.nodes.items() if not node.asked]
+
     def with_all_above(self, names: Sequence[str]) -> list[str]:
-        """These nodes and all that they need, in order; all nodes when none is named.
+        """These nodes and all that they need, in order; `usual` when none is named.
 
         Raises:
             RequestError: a name is not in the pipeline.
@@ -60,7 +68,7 @@ class Graph:
         unknown = [name for name in names if name not in self.nodes]
         if unknown:
             raise RequestError(f"{self.source} has no node '{unknown[0]}'{nearest(unknown[0], self.nodes)}")
-        wanted = set(names or self.nodes)
+        wanted = set(names or self.usual)
         for name in reversed(list(self.nodes)):
             if name in wanted:
                 wanted |= set(self.nodes[name].above)
@@ -116,7 +124,7 @@ def load_graph(path: Path, table: Mapping[str, str], *, overrides: Sequence[str]
                 f"{spot}: '{name}' names {len(above)} node(s) in 'from'; the stage {stage.name} reads {wants}"
             )
         if params is not None:
-            nodes[name] = Node(name, stage, module, params, above)
+            nodes[name] = Node(name, stage, module, params, above, entry.when == "asked")
     order = _order(
         source,
         {name: (e.from_,) if isinstance(e.from_, str) else e.from_ for name, e in entries.items()},
@@ -208,6 +216,8 @@ def _misfits(source: Document, node: Node, nodes: Mapping[str, Node]) -> list[st
         upper = nodes[node.above[spec.source]]
         spec = spec.of(upper.stage.outputs)
         output = upper.stage.outputs.get(spec.array)
+        if output is None and spec.optional:
+            continue
         if output is None:
             have = ", ".join(upper.stage.outputs)
             found.append(

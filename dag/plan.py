@@ -190,6 +190,9 @@ def make_plan(
         "shape": list(session.shape),
         "mask": _mask(session, store),
         "light_ids": [light["id"] for light in items["lights"].values["lights"]] if "lights" in items else [],
+        "lights_placed": "lights" in items
+        and all(light["position_mm"] is not None for light in items["lights"].values["lights"]),
+        "items": sorted(items),
     }
     nodes: dict[str, NodePlan] = {}
     problems: list[str] = []
@@ -247,7 +250,8 @@ def _plan_node(
     node: Node, above: Sequence[NodePlan], facts: Mapping[str, Any], items: Mapping[str, Mapping[str, Any]]
 ) -> NodePlan:
     stage = node.stage
-    arrangement = stage.arrange([upper.grid for upper in above], facts, node.params)
+    grids = [replace(upper.grid, arrays=frozenset(upper.arrays)) for upper in above]
+    arrangement = stage.arrange(grids, facts, node.params)
     names = arrangement.dims
     grid = arrangement.grid
     arrays = {}
@@ -331,8 +335,11 @@ def _reads(
     reads: dict[str, tuple[Piece, ...]] = {}
     for name, spec in node.stage.inputs.items():
         upper = above[spec.source]
-        spec = spec.of(upper.node.stage.outputs)
+        spec = spec.of(upper.arrays)
         if spec.array not in upper.arrays:
+            if spec.optional:
+                reads[name] = ()
+                continue
             raise StageError(f"{upper.node.name} makes no '{spec.array}' with its parameters; it is needed here")
         array = upper.arrays[spec.array]
         if spec.how == "each":

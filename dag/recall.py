@@ -17,7 +17,15 @@ from store.results import ResultName, set_current
 from store.root import Store
 
 PACKAGES = ("stages", "hw", "dag", "store")
-_LIBRARIES = ("numpy", "numba", "opencv_contrib_python_headless", "scipy", "scikit_image")
+_LIBRARIES = (
+    "colour_science",
+    "numba",
+    "numpy",
+    "opencv_contrib_python_headless",
+    "pyamg",
+    "scikit_image",
+    "scipy",
+)
 
 
 _SAID = ("method", "engine", "note", "cannot_be_made", "distance_mm", "distance_found", "warnings")

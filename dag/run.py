@@ -224,7 +224,7 @@ def prepare(stage: Stage, module: str, context: Mapping[str, Any], digest: str, 
             while len(_prepared) >= _MOST_PREPARED:
                 _prepared.pop(next(iter(_prepared)))
             accepted = inspect.signature(stage.prepare).parameters
-            chosen = {name: value for name, value in params if name in accepted}
+            chosen = {name: value for name, value in params if name in accepted and name not in context}
             _prepared[key] = stage.prepare(**{**context, **chosen})
         return _prepared[key]
 

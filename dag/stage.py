@@ -37,6 +37,8 @@ class Grid:
     labels: Mapping[str, tuple[tuple[str, ...], Sequence[Any]]]
     """Coordinates: name to (dimensions, values)."""
     attrs: Mapping[str, Any] = field(default_factory=dict)
+    arrays: frozenset[str] = frozenset()
+    """The arrays that the node makes with its parameters; the engine fills this in for the nodes below."""
 
     def along(self, name: str) -> Sequence[Any]:
         """The values of a coordinate."""
@@ -56,6 +58,8 @@ class Input:
     """Which of the nodes in `from`."""
     instead: "Input | None" = None
     """What is read where the node above puts out no such array."""
+    optional: bool = False
+    """Whether the node above may make no such array; the kernel then gets an empty sequence. For `group`."""
 
     def of(self, arrays: Collection[str]) -> "Input":
         """This input, or the one instead, whichever the arrays of the node above hold."""

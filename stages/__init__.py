@@ -22,6 +22,7 @@ that a stage calls; they count in its key.
     interreflection.py       bounced light, from six bands or from tiles
     normal_filter.py         non-local means on normals
     subject_mask.py          where the subject is
+    colour.py                from narrow bands to colour
     pinhole.py               the reference camera: rays, points, smaller pictures
 """
 
@@ -35,6 +36,7 @@ TABLE: Mapping[str, str] = {
     "align": "stages.align",
     "normals": "stages.normals",
     "upsample": "stages.upsample",
+    "reflectance": "stages.reflectance",
     **{
         name: f"stages.calibration.{name}"
         for name in (

@@ -44,10 +44,10 @@ class NormalsParams(Params):
     base: Literal["auto", "X", "Y", "Z"] = Field(
         "auto", description="the pair of a minimal set; auto: what is held"
     )
-    correct: Literal["none", "qp", "lights", "near", "near+shadows", "full"] = Field(
+    correct: Literal["none", "auto", "qp", "lights", "near", "near+shadows", "full"] = Field(
         "none",
         description="qp: Dutta's correction, all seven pictures; lights: this rig's response inverted; near, "
-        "near+shadows, full: with depth, shadows, bounced light estimated",
+        "near+shadows, full: with depth, shadows, bounced light estimated; auto: the most that the items support",
     )
     filter: Literal["none", "nlm", "surface"] = Field(
         "none",
@@ -191,8 +191,9 @@ def _context(
 ) -> Mapping[str, Any]:
     choice = labels["choice"]
     camera = lights = rig = None
-    if params.correct in RIG_MODELS:
-        rig = rig_normals.context_of(facts, items, params.correct)
+    correct = labels["correct"]
+    if correct in RIG_MODELS:
+        rig = rig_normals.context_of(facts, items, correct)
     if params.component == "specular" and "camera" in items:
         names = ("size_px", "K", "distortion", "world_to_camera")
         camera = {name: items["camera"][name] for name in names}
@@ -221,6 +222,7 @@ def _context(
         "camera": camera,
         "lights": lights,
         "rig": rig,
+        "correct": correct,
     }
 
 
@@ -234,6 +236,7 @@ def _prepare(
     camera: Mapping[str, Any] | None,
     lights: Mapping[str, Any] | None,
     rig: Mapping[str, Any] | None,
+    correct: str,
 ) -> Mapping[str, Any]:
     view = known = None
     if rig is not None:
@@ -251,6 +254,7 @@ def _prepare(
         "lights": None if lights is None else light_directions(lights, names),
         "view": view,
         "rig": known,
+        "correct": correct,
     }
 
 
@@ -260,7 +264,8 @@ Places = dict[str, dict[str, int]]
 
 def _sets(above: Grid, facts: Mapping[str, Any], params: NormalsParams) -> list[tuple[int, Choice, Places]]:
     """Per tracking frame: its index in the session, the method, and where each picture is."""
-    ask = {"method": params.method, "base": params.base, "correct": params.correct}
+    correct = "none" if params.correct == "auto" else params.correct
+    ask = {"method": params.method, "base": params.base, "correct": correct}
     if facts["frame_rate_hz"] is None:
         if "member" in above.sizes:
             have = list(above.along("illumination")[0])
@@ -292,6 +297,15 @@ def _sets(above: Grid, facts: Mapping[str, Any], params: NormalsParams) -> list[
     return [(window.frame, choice, where[window.frame]) for window, choice in sets]
 
 
+def _supported(sets: Sequence[tuple[int, Choice, Places]], facts: Mapping[str, Any], component: str) -> str:
+    """What `correct: auto` is: the best model of the rig that the bound items and the pictures support."""
+    if component == "specular" or any(choice.method == "least_squares" for _, choice, _ in sets):
+        return "none"
+    if not facts["lights_placed"] or "camera" not in facts["items"]:
+        return "none"
+    return "full" if "bands" in facts["items"] else "near+shadows"
+
+
 def _frames(above: Grid) -> Sequence[int]:
     return list(above.along("tracking" if "member" in above.sizes else "frame"))
 
@@ -310,10 +324,11 @@ def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: NormalsPar
     sets = _sets(stacked, facts, params)
     bands = list(stacked.along("band"))
     fused = params.fuse == "bands" and len(bands) > 1
-    modelled = params.correct in RIG_MODELS
+    correct = _supported(sets, facts, component) if params.correct == "auto" else params.correct
+    modelled = correct in RIG_MODELS
     if modelled and component == "specular":
-        raise StageError(f"correct: {params.correct} is a model of diffuse light; set component: diffuse")
-    if params.filter == "surface" and params.correct not in RIG_MODELS[1:]:
+        raise StageError(f"correct: {correct} is a model of diffuse light; set component: diffuse")
+    if params.filter == "surface" and correct not in RIG_MODELS[1:]:
         raise StageError("filter: surface needs a depth; set correct: near, near+shadows or full")
     height, width = stacked.sizes["y"], stacked.sizes["x"]
     groups = []
@@ -334,6 +349,7 @@ def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: NormalsPar
                         "names": list(choice.pictures),
                         "diffuse_constant": extra,
                         "shape": [height, width],
+                        "correct": correct,
                     },
                 )
             )
@@ -344,9 +360,9 @@ def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: NormalsPar
         "xyz": (("xyz",), list("xyz")),
     }
     outputs = {"normal", "albedo", "norm", "valid"}
-    if modelled and params.correct != "lights":
+    if modelled and correct != "lights":
         outputs |= {"depth_mm", "irradiance"}
-    if params.correct in ("near+shadows", "full") and facts["light_ids"]:
+    if correct in ("near+shadows", "full") and facts["light_ids"]:
         outputs |= {"visibility"}
         sizes["light"] = len(facts["light_ids"])
         labels["light"] = (("light",), facts["light_ids"])
@@ -357,7 +373,7 @@ def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: NormalsPar
     attrs = {
         "method": ", ".join(used),
         "base": ", ".join(sorted({choice.base for _, choice, _ in sets if choice.base})),
-        "correct": params.correct,
+        "correct": correct,
         "component": component,
         "fuse": params.fuse,
         "filter": params.filter,
@@ -427,6 +443,6 @@ STAGE = Stage(
     arrange=_arrange,
     context=_context,
     prepare=_prepare,
-    prepared=("choice", "names", "diffuse_constant", "lights", "view", "rig"),
+    prepared=("choice", "names", "diffuse_constant", "lights", "view", "rig", "correct"),
     kernel=normals,
 )

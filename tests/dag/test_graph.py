@@ -103,3 +103,19 @@ def test_an_unknown_target_is_named(tmp_path: Path) -> None:
     path.write_text(GOOD)
     with pytest.raises(RequestError, match="no node 'normal'; did you mean 'normals'"):
         load_graph(path, TABLE).with_all_above(["normal"])
+
+
+def test_what_is_computed_when_asked_is_not_computed_unasked(tmp_path: Path) -> None:
+    path = tmp_path / "p.yaml"
+    path.write_text(
+        GOOD + "  relief: {uses: normals, from: stack, when: asked}\n  more: {uses: normals, from: stack}\n"
+    )
+    graph = load_graph(path, TABLE)
+    assert graph.with_all_above([]) == ["capture", "register", "split", "stack", "normals", "more"]
+    assert graph.with_all_above(["relief"]) == ["capture", "register", "split", "stack", "relief"]
+
+
+def test_when_has_two_words(tmp_path: Path) -> None:
+    (line,) = refused(tmp_path, GOOD + "  relief: {uses: normals, from: stack, when: ask}\n")
+    assert line.startswith("p:7:")
+    assert "'always' or 'asked'" in line

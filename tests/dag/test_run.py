@@ -567,3 +567,20 @@ def test_a_worker_with_other_code_refuses(
     done = lightstage("run", "--session", "ball", "--set", "normals.method=ratio")
     assert done.code == 1
     assert "a worker has other code or libraries for the stage normals" in done.err
+
+
+def test_an_asked_node_is_computed_by_name_and_looked_after_from_then_on(
+    lightstage: Lightstage, ball: Path
+) -> None:
+    assert "relief" not in lightstage("run", "--session", "ball", "--json").json["nodes"]
+    assert "relief" not in lightstage("status", "--session", "ball", "--json").json["sessions"]["ball"]
+    done = lightstage("run", "reflectance", "--session", "ball", "--json").json["nodes"]
+    assert {"relief", "reflectance"} <= set(done)
+    # no camera, no lights: the inputs that a surface would give are not there, and the stage does without
+    opened = xarray.open_zarr(done["reflectance"]["path"], chunks=None)
+    assert (opened.attrs["shading"], opened.attrs["scale"]) == ("smooth", "relative")
+    assert (
+        lightstage("status", "--session", "ball", "--json").json["sessions"]["ball"]["relief"]["status"] == "fresh"
+    )
+    assert "fresh" in lightstage("why", "reflectance", "--session", "ball").out
+    assert "reflectance: albedo in every band" in lightstage("graph").out
