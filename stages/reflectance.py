@@ -38,8 +38,9 @@ from stages.subject_mask import find_subject
 Image = NDArray[np.float32]
 _DARK = 0.1
 """Of the open irradiance: where less arrives the quotient is the error of S."""
-_SMOOTH = 1 / 12
-"""Of the picture's width: sigma of what `smooth` takes for shading."""
+_SMOOTH = 1 / 4
+"""Of the picture's width: sigma of what `smooth` takes for shading. A smaller one takes more shading and, on a
+rendered head, still more of the skin."""
 _BRIGHT = 99.5
 """Percentile that is 1 when the scale is relative."""
 

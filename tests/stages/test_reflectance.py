@@ -107,7 +107,7 @@ def test_white_faces_the_camera_at_the_centre() -> None:
 
 def test_smooth_takes_shading_and_keeps_what_is_fine() -> None:
     y, x = np.mgrid[0:90, 0:120]
-    falls = np.exp(-(((x - 60) / 80) ** 2))
+    falls = 0.4 + 0.6 * x / 120
     fine = np.where((x + y) % 2, 0.5, 0.4)
     picture = np.asarray(3 * falls * fine, np.float32)
     out = reflectance([picture], [], [], [], names=("C",), shading="smooth", white=3.0, camera=None, bounced="kept")
@@ -115,7 +115,8 @@ def test_smooth_takes_shading_and_keeps_what_is_fine() -> None:
     made = out["reflectance"][0][inner]
     rows = made.mean(axis=0)
     before = (falls * fine)[inner].mean(axis=0)
-    assert np.ptp(rows) / rows.mean() < 0.35 * np.ptp(before) / before.mean()
+    # a blur with a quarter of the width bends a ramp of all of it flat by a good half at the sides
+    assert np.ptp(rows) / rows.mean() < 0.75 * np.ptp(before) / before.mean()
     ratio = made[:, ::2].mean() / made[:, 1::2].mean()
     assert ratio == pytest.approx(picture[inner][:, ::2].mean() / picture[inner][:, 1::2].mean(), rel=0.01)
 
