@@ -5,7 +5,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 RUN    := $(BIN)/lightstage $(if $(STORE),--store "$(STORE)")
 
-.PHONY: help setup normals performance test lint format bench docs golden clean
+.PHONY: help setup normals performance shape test lint format bench docs golden clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 13
@@ -32,6 +32,10 @@ normals: $(VENV)/.user  ## the main job: SESSION=name or folder, or the virtual 
 performance: $(VENV)/.user  ## the film of a moving subject: SESSION=name or folder, or the virtual rig's
 	@$(RUN) performance $(if $(SESSION),"$(SESSION)")
 
+shape: $(VENV)/.user  ## a mesh with texture: SESSION=name; ends with the file's path
+	@$(RUN) run shape reflectance --session "$(SESSION)"
+	@$(RUN) export shape --session "$(SESSION)" --format glb --to "$(or $(TO),shapes)"
+
 test: $(VENV)/.developer  ## all tests
 	@$(BIN)/python -m pytest $(if $(TESTS),$(TESTS),-n 2)
 
@@ -53,6 +57,7 @@ bench: $(VENV)/.developer  ## every figure of README and docs, measured anew
 docs: $(VENV)/.developer  ## the figures and tables in docs/ (needs ../shared/data)
 	@$(BIN)/python -m benchmarks.accuracy
 	@$(BIN)/python -m benchmarks.near_light
+	@$(BIN)/python -m benchmarks.reflectance
 	@$(BIN)/python -m benchmarks.alignment
 	@$(BIN)/python -m benchmarks.moving
 	@$(RUN) sequence count --upto 30 --plot docs/figures/sequence_count.png

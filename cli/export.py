@@ -1,4 +1,5 @@
-"""export: a node's pictures as PNG, EXR or NPY, for tools that do not read zarr; or its normals as a film.
+"""export: a node's pictures as PNG, EXR or NPY, for tools that do not read zarr; its normals as a film, its depth
+as meshes.
 
 Normals are exported as maps. The convention says where green points: OpenGL up, DirectX down. 8 bits are for
 looking; EXR holds float channels, with convention, frame and units in its header.
@@ -11,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cli import film
+from cli import film, mesh
 from cli.show import Screen
 from store.errors import RequestError, WorkError
 from store.root import Store
@@ -28,12 +29,12 @@ FRAME = "world: right-handed, x right, y up, z towards the camera"
 def configure(commands: Any) -> None:
     """Add the commands of this file."""
     export = commands.add_parser(
-        "export", help="write a node's pictures as PNG, EXR or NPY, or a film of its normals"
+        "export", help="write a node's pictures as PNG, EXR or NPY, a film of its normals, or its shape as a mesh"
     )
     export.add_argument("node", metavar="NODE")
     export.add_argument("--session", required=True, metavar="S")
     export.add_argument("--to", required=True, type=Path, metavar="DIR")
-    export.add_argument("--format", required=True, choices=(*FORMATS, *film.FORMATS))
+    export.add_argument("--format", required=True, choices=(*FORMATS, *film.FORMATS, *mesh.FORMATS))
     export.add_argument("--convention", choices=tuple(CONVENTIONS), default="opengl", help="where green points")
     export.add_argument(
         "--fps",
@@ -42,6 +43,7 @@ def configure(commands: Any) -> None:
         help=f"frames a second of a film (default: the session's rate / {film.SLOWER}, so that one sees what "
         f"happens, and at least {film.SLOWEST_FPS:g})",
     )
+    export.add_argument("--every", type=int, metavar="N", help="a mesh's vertices are every Nth pixel (default: 1)")
     export.set_defaults(handler=handle_export)
 
 
@@ -68,6 +70,10 @@ def handle_export(options: argparse.Namespace, screen: Screen) -> int:
 
     if options.fps is not None and options.format not in film.FILMS:
         raise RequestError(f"--fps {options.fps:g}: only a film has it; choose --format {' or '.join(film.FILMS)}")
+    if options.every is not None and (options.every < 1 or options.format not in mesh.FORMATS):
+        raise RequestError(
+            f"--every {options.every}: a step of 1 or more for a mesh (--format {', '.join(mesh.FORMATS)})"
+        )
     store = Store(options.store, create=False)
     session = read_session(options.session, store)
     if options.node == "capture":
@@ -94,6 +100,20 @@ def handle_export(options: argparse.Namespace, screen: Screen) -> int:
             for file in answer["files"]:
                 screen.say(f"film: {file}")
         screen.document(answer)
+        return 0
+    if options.format in mesh.FORMATS:
+        screen.document(
+            mesh.export_meshes(
+                dataset,
+                options.node,
+                session,
+                options.to,
+                screen,
+                store,
+                form=options.format,
+                every=options.every or 1,
+            )
+        )
         return 0
     written = []
     count = sum(

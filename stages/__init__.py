@@ -37,6 +37,7 @@ TABLE: Mapping[str, str] = {
     "normals": "stages.normals",
     "upsample": "stages.upsample",
     "reflectance": "stages.reflectance",
+    "shape": "stages.shape",
     **{
         name: f"stages.calibration.{name}"
         for name in (
