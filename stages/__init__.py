@@ -23,6 +23,9 @@ that a stage calls; they count in its key.
     normal_filter.py         non-local means on normals
     subject_mask.py          where the subject is
     colour.py                from narrow bands to colour
+    shading.py               a surface under lights that somebody chooses, with cast shadows
+    face_frame.py            faces brought to one place, one oval, and between two faces
+    matching.py              equal mean, contrast, histogram and spectrum, in the pictures as they are stored
     pinhole.py               the reference camera: rays, points, smaller pictures
 """
 
@@ -38,6 +41,7 @@ TABLE: Mapping[str, str] = {
     "upsample": "stages.upsample",
     "reflectance": "stages.reflectance",
     "shape": "stages.shape",
+    "stimulus": "stages.stimulus",
     **{
         name: f"stages.calibration.{name}"
         for name in (
