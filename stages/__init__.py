@@ -26,6 +26,8 @@ that a stage calls; they count in its key.
     shading.py               a surface under lights that somebody chooses, with cast shadows
     face_frame.py            faces brought to one place, one oval, and between two faces
     matching.py              equal mean, contrast, histogram and spectrum, in the pictures as they are stored
+    absorption.py            how strongly melanin and blood absorb, over the pass bands of filters
+    skin_layers.py           what layered skin reflects, and whether a spectrum is like it
     pinhole.py               the reference camera: rays, points, smaller pictures
 """
 
@@ -42,6 +44,7 @@ TABLE: Mapping[str, str] = {
     "reflectance": "stages.reflectance",
     "shape": "stages.shape",
     "stimulus": "stages.stimulus",
+    "chromophores": "stages.chromophores",
     **{
         name: f"stages.calibration.{name}"
         for name in (
