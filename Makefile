@@ -5,7 +5,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 RUN    := $(BIN)/lightstage $(if $(STORE),--store "$(STORE)")
 
-.PHONY: help setup normals performance shape test lint format bench docs golden clean
+.PHONY: help setup normals performance skin shape test lint format bench docs golden clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 13
@@ -31,6 +31,9 @@ normals: $(VENV)/.user  ## the main job: SESSION=name or folder, or the virtual 
 
 performance: $(VENV)/.user  ## the film of a moving subject: SESSION=name or folder, or the virtual rig's
 	@$(RUN) performance $(if $(SESSION),"$(SESSION)")
+
+skin: $(VENV)/.user  ## melanin and haemoglobin: SESSION=name or folder, or the virtual rig's demo
+	@$(RUN) skin $(if $(SESSION),"$(SESSION)")
 
 shape: $(VENV)/.user  ## a mesh with texture: SESSION=name; ends with the file's path
 	@$(RUN) run shape reflectance --session "$(SESSION)"

@@ -286,9 +286,7 @@ def handle_normals(options: argparse.Namespace, screen: Screen) -> int:
     from cli.sheet import contact_sheet
 
     store = Store(options.store)
-    options.session = (
-        _session_of(options.session, store, screen) if options.session else demo_session(store, screen)
-    )
+    options.session = session_of(options.session, store, screen) if options.session else demo_session(store, screen)
     summary = run_session(options, store, screen, ())
     sheet = contact_sheet(options.session, store)
     screen.say(f"picture: {sheet}")
@@ -304,7 +302,7 @@ def handle_performance(options: argparse.Namespace, screen: Screen) -> int:
 
     store = Store(options.store)
     options.session = (
-        _session_of(options.session, store, screen) if options.session else moving_session(store, screen)
+        session_of(options.session, store, screen) if options.session else moving_session(store, screen)
     )
     session = read_session(options.session, store)
     if session.facts["frame_rate_hz"] is None:
@@ -336,7 +334,7 @@ def _filmed(summary: Mapping[str, Any], options: argparse.Namespace) -> str:
     )
 
 
-def _session_of(given: str, store: Store, screen: Screen) -> str:
+def session_of(given: str, store: Store, screen: Screen) -> str:
     """The session of that name, or the one that a capture folder becomes."""
     from cli.sessions import import_folder
     from store.sessions import session_names
