@@ -28,6 +28,7 @@ that a stage calls; they count in its key.
     matching.py              equal mean, contrast, histogram and spectrum, in the pictures as they are stored
     absorption.py            how strongly melanin and blood absorb, over the pass bands of filters
     skin_layers.py           what layered skin reflects, and whether a spectrum is like it
+    microfacets.py           how a rough surface reflects, and what a rig's lights show of it
     pinhole.py               the reference camera: rays, points, smaller pictures
 """
 
@@ -45,6 +46,7 @@ TABLE: Mapping[str, str] = {
     "shape": "stages.shape",
     "stimulus": "stages.stimulus",
     "chromophores": "stages.chromophores",
+    "gloss": "stages.gloss",
     **{
         name: f"stages.calibration.{name}"
         for name in (
