@@ -147,6 +147,20 @@ def chromophores(
     }
 
 
+def predicted(
+    melanin: Array, haemoglobin: Array, baseline: Array, *, passing: Array, params: ChromophoresParams
+) -> Array:
+    """Reflectance (point, band) by the model, of maps as the kernel gives them, (point,) each."""
+    if params.model == "beer_lambert":
+        depths = np.stack([melanin, haemoglobin, baseline], axis=1)
+        return np.asarray(np.exp(-depths @ _spectra(passing, params.saturation).T))
+    below = skin_layers.dermis(
+        haemoglobin, passing, saturation=params.saturation, vessel_radius_um=params.vessel_radius_um
+    )
+    above = melanin[:, None] * _spectra(passing, params.saturation)[:, 0] + baseline[:, None]
+    return np.asarray(below * np.exp(-above))
+
+
 def _spectra(passing: Array, saturation: float) -> Array:
     """(band, unknown): eps of melanin and of haemoglobin, and the baseline's 1."""
     blood = absorption.haemoglobin(saturation)
