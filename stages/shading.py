@@ -50,8 +50,8 @@ def parse_lights(text: str) -> tuple[DistantLight, ...]:
         azimuth, elevation, strength = light
         if not (-180 <= azimuth <= 180 and -90 <= elevation <= 90 and 0 < strength <= 100):  # also false for NaN
             raise ValueError(
-                f"light '{word}': expected azimuth,elevation,strength, such as -30,15,0.5: degrees from -180 to 180, degrees "
-                "from -90 to 90, and a strength above 0"
+                f"light '{word}': expected azimuth,elevation,strength, such as -30,15,0.5: from -180 to 180 "
+                "and from -90 to 90 degrees, and a strength above 0"
             )
         found.append(light)
     if not found:

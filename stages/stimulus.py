@@ -6,13 +6,12 @@
 
 l_k is a distant light of strength p_k, given by azimuth and elevation; n the normal; v_k its cast shadow (1 without
 `cast_shadows`); rho the reflectance in every band, out of which shading has been taken; M makes linear sRGB, or
-luminance alone, of the bands (`colour.py`). All is linear light: 1 is a white surface that faces a light of strength
-1.
+luminance alone, of the bands (`colour.py`). All is linear light: 1 is a white surface facing a light of strength 1.
 
 The thesis gives s as n . l_1 + n . l_2 with two frontal lights that were chosen by hand, and no numbers; here they
 stand 30 degrees to the left and right and 15 up, each of strength 1/2. A light behind the surface counts as none,
-where the thesis' sum would count it as negative. `texture: constant` is the thesis' texture, the diffuse picture under
-constant light, which keeps ambient occlusion; it is there for comparison.
+where the thesis' sum would count it as negative. `texture: constant` is the thesis' texture, the diffuse picture
+under constant light, which keeps ambient occlusion; it is there for comparison.
 
 Must have run before: normals and reflectance. Limits: Lambertian; no light is bounced; shadows are cast by what the
 depth map holds (`visibility.py`).
