@@ -67,7 +67,7 @@ class ChromophoresParams(Params):
         0.01, gt=0, le=0.5, description="relative error of each band's reflectance beside noise: bands item, table"
     )
     pass_band: Literal["flat", "gaussian"] = Field(
-        "flat", description="of filters without a curve: width_nm wide, or with width_nm at half maximum"
+        "gaussian", description="of filters without a curve: with width_nm at half maximum, or flat, width_nm wide"
     )
     vessel_radius_um: float = Field(15.0, ge=0, le=100, description="of kubelka_munk; 0: blood spread evenly")
     oxygenation_error: float = Field(0.1, gt=0, description="oxygenation is NaN where its standard error is larger")
