@@ -5,6 +5,7 @@ is adding a file, a line here, and its name in `pipeline.yaml`. Modules that are
 that a stage calls; they count in its key.
 
     joint_flow.py            the motion of a subject under changing light, all pictures of a window at once
+    band_alignment.py        the bands of a capture, brought to one of them
     block_grid.py            fields on a block grid that bend little, its linear algebra
     picture_flow.py          the same by flows between two pictures at a time, for reference
     flow_warp.py             what flows do to pictures: warping, and the inverse of a flow

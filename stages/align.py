@@ -19,6 +19,13 @@ Under `joint` and `alternating` a picture without its complement in the set (the
 sequence) takes the part of a pair's flow that its time gives, `middle: half` (the thesis), or a short solve of its
 own that starts there, `middle: refine`.
 
+Bands: filters are changed between the bands of a still capture, and the subject moves a little meanwhile. With
+`bands` not none, one flow per band, g_b, brings each band to the middle one (`band_alignment.py`):
+
+    aligned_b(x) = p_b(x + u(x) + g_b(x + u(x))) ,
+
+for all components, resampled once. It is the same for all pictures of a band.
+
 Confidence is 1 / (1 + d^2) with d the predicted error of the flow in pixels, so below a half the flow is likely
 wrong by more than a pixel; and less where the pictures contradict each other. It is 0 where a point is hidden, out
 of the picture, or the picture does not belong to the set at all (black, repeated, mislabelled, another scene): such
@@ -31,7 +38,7 @@ Sources: Wilson et al. (2010), ACM TOG 29(2); Dutta (2010) chapters 4 and 5; and
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import cv2
 import numpy as np
@@ -39,12 +46,13 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from dag.stage import Arrangement, Grid, Group, Input, Items, Output, Params, Stage, StageError
-from stages import joint_flow, picture_flow
+from stages import band_alignment, joint_flow, picture_flow
 from stages.band_fusion import noise_model
 from stages.flow_warp import invert, warp
 from stages.picture_sets import Window, chosen_sets, pairs, picture_times, windows
 
 Image = NDArray[np.float32]
+Bands = Literal["none", "auto", "specular", "relief", "gradient"]
 Engine = Literal["auto", "motion", "joint", "alternating", "direct", "none"]
 LOST = 0.02
 """Confidence below which an aligned picture is NaN."""
@@ -76,6 +84,12 @@ class AlignParams(Params):
         description="pictures without a complement, under joint and alternating: a part of a pair's flow, or a "
         "short solve of their own from there",
     )
+    bands: Bands = Field(
+        "none",
+        description="what brings every band to the middle one: the specular component, relief (gradients over "
+        "their sums), gradient (edges of the diffuse component), or auto: all of them that the capture has, each "
+        "by its noise; none: the subject held still while filters were changed",
+    )
 
 
 def align(
@@ -85,8 +99,10 @@ def align(
     frames: Sequence[int],
     times: Sequence[float],
     around: Sequence[float],
-    bands: int,
+    band_nm: Sequence[float],
+    components: Sequence[str],
     engine: str,
+    bands: str,
     apart: bool,
     moving: bool,
     flow: picture_flow.Method,
@@ -100,8 +116,8 @@ def align(
             frame around (before, after) its bands.
         names: illumination of each member; "" for a place that this set does not fill. frames: their indices.
         times: of the members, the tracking frame at 0. around: of the tracking frames around.
-        bands: how many.
-        engine, flow, iterations, middle: see AlignParams.
+        band_nm: the bands, nm. components: what lies along the first axis of a picture.
+        engine, flow, iterations, middle, bands: see AlignParams.
         moving: whether the subject may have moved between the pictures.
         apart: the block is one picture that is not moved; its results lack the dimension member.
 
@@ -110,28 +126,36 @@ def align(
         x), NaN where not known; `confidence` (member, y, x), 0 to 1; `residual` (y, x), the mean over the set's
         pairs of |r_a + r_a' - c| after alignment, over bands, in radiance of the first component. `stats` has
         its mean before and after alignment, relative to c. `warnings` name pictures that do not belong to the set.
+        With `bands`, `band_flow` (band, xy, y, x) and `band_confidence` (band, y, x) of the flows g_b, on the grid
+        of the middle band, `stats` has what each was found from, and `warnings` name bands that show nothing to be
+        aligned by, which stay as they are.
     """
-    count = len(names)
+    count, width = len(names), len(band_nm)
     own: list[list[Image]] = [
-        [radiance[m * bands + b] for b in range(bands)] if names[m] else [] for m in range(count)
+        [radiance[m * width + b] for b in range(width)] if names[m] else [] for m in range(count)
     ]
-    others = [[radiance[(count + k) * bands + b] for b in range(bands)] for k in range(len(around))]
+    others = [[radiance[(count + k) * width + b] for b in range(width)] for k in range(len(around))]
     if apart:
         return _unmoved(np.stack(own[0]))
     real = [m for m in range(count) if names[m]]
     here = next((m for m in real if names[m] == "C" and times[m] == 0), real[0])
-    pictures = _one_band([own[m] for m in real] + others, [names[m] for m in real])
+    across = _across_bands(own, names, here, band_nm, components, bands, still=engine == "none" and not moving)
+    pictures = _one_band(
+        [across.moved(picture, components=1) for picture in [own[m] for m in real] + others],
+        [names[m] for m in real],
+    )
     member = dict(zip(real, pictures, strict=False))
     shape = member[here].shape
     flow_of = {m: np.zeros((2, *shape), np.float32) for m in real}
     confidence = {m: np.isfinite(member[m]).astype(np.float32) for m in real}
-    warnings: list[str] = []
+    warnings = list(across.warnings)
     if engine == "none" and moving:
         for m in real:
             confidence[m] *= np.float32(1 if m == here else _UNKNOWN)
     if engine != "none":
         called = {m: f"frame {frames[m]} ({names[m]})" for m in real}
-        bad, warnings = _misplaced(member, called, names, here)
+        bad, said = _misplaced(member, called, names, here)
+        warnings += said
         steady = [
             (time, picture)
             for time, picture in zip(around, pictures[len(real) :], strict=True)
@@ -163,8 +187,7 @@ def align(
         for m in bad:
             confidence[m][:] = 0
             flow_of[m] = np.full((2, *shape), np.nan, np.float32)
-    components = own[real[0]][0].shape[0]
-    aligned = np.full((count, bands, components, *shape), np.nan, np.float32)
+    aligned = np.full((count, width, len(components), *shape), np.nan, np.float32)
     out = {
         "flow": np.full((count, 2, *shape), np.nan, np.float32),
         "aligned": aligned,
@@ -172,15 +195,84 @@ def align(
     }
     for m in real:
         out["flow"][m] = flow_of[m]
-        for b in range(bands):
-            still = m == here or engine == "none"
-            aligned[m, b] = own[m][b] if still else warp(own[m][b], flow_of[m])
+        still = m == here or engine == "none"
+        aligned[m] = across.moved(own[m], None if still else flow_of[m])
+        for b in range(width):
             if engine != "none":
                 aligned[m, b][:, confidence[m] <= LOST] = np.nan
         known = np.isfinite(aligned[m]).any(axis=(0, 1))
         out["confidence"][m] = np.where(known, confidence[m], np.float32(0))
     out["residual"], stats = _residual(own, aligned, names, here)
-    return {**out, "stats": stats, "warnings": warnings}
+    return {**out, **across.results, "stats": {**stats, **across.stats}, "warnings": warnings}
+
+
+class _Across(NamedTuple):
+    """How the bands lie to each other."""
+
+    flows: Sequence[Image | None]
+    """(xy, y, x) of each band, None where it stays as it is."""
+    results: Mapping[str, Image]
+    stats: Mapping[str, float]
+    warnings: Sequence[str]
+
+    def moved(
+        self, picture: Sequence[Image], flow: Image | None = None, components: int | None = None
+    ) -> list[Image]:
+        """One picture, band by band, brought to the middle band, and along a flow if there is one."""
+        out = []
+        for band, across in zip(picture, self.flows, strict=True):
+            way = across if flow is None else flow if across is None else flow + warp(across, flow)
+            out.append(band[:components] if way is None else warp(band[:components], way))
+        return out
+
+
+def _across_bands(
+    own: Sequence[Sequence[Image]],
+    names: Sequence[str],
+    here: int,
+    band_nm: Sequence[float],
+    components: Sequence[str],
+    bands: str,
+    *,
+    still: bool,
+) -> _Across:
+    """The flow of every band to the middle one."""
+    count = len(band_nm)
+    if bands == "none":
+        return _Across([None] * count, {}, {}, [])
+    # the tracking frame last: of several pictures under constant light it is the one
+    order = sorted((m for m in range(len(names)) if names[m]), key=lambda m: m == here)
+    light = [
+        band_alignment.gathered({names[m]: own[m][b] for m in order}, components, still=still) for b in range(count)
+    ]
+    middle = _middle(count)
+    kinds = [kind for kind in band_alignment.KINDS if bands in ("auto", kind)]
+    shape = own[here][middle].shape[1:]
+    flows: list[Image | None] = [None] * count
+    flow = np.zeros((count, 2, *shape), np.float32)
+    confidence = np.ones((count, *shape), np.float32)
+    stats: dict[str, float] = {}
+    warnings = []
+    for b in range(count):
+        if b == middle:
+            continue
+        found = band_alignment.band_flow(light[middle], light[b], kinds=kinds)
+        if not found.parts:
+            confidence[b] = _UNKNOWN
+            warnings.append(
+                f"{band_nm[b]:g} nm shows nothing by which it could be aligned to {band_nm[middle]:g} nm "
+                f"(bands: {bands}; texture correlates by {found.alike:.2f}); it stays as it is"
+            )
+            continue
+        flow[b] = flows[b] = found.flow
+        confidence[b] = np.maximum(1 / (1 + found.doubt_px**2), _DOUBTED) * _seen(found.flow)
+        stats |= {f"aligned_on_{kind}_{band_nm[b]:g}nm": part for kind, part in found.parts.items()}
+    return _Across(flows, {"band_flow": flow, "band_confidence": confidence}, stats, warnings)
+
+
+def _middle(bands: int) -> int:
+    """Which band the others are brought to."""
+    return bands // 2
 
 
 def _unmoved(picture: Image) -> Mapping[str, Any]:
@@ -430,12 +522,11 @@ def _residual(
     before = np.zeros(shape, np.float32)
     level = np.zeros(shape, np.float32)
     for b in range(aligned.shape[1]):
-        constant = own[here][b][0]
-        level += constant * len(together)
+        level += aligned[here, b, 0] * len(together)
         for i, j in together:
-            before += np.abs(own[i][b][0] + own[j][b][0] - constant)
-            after += np.abs(aligned[i, b, 0] + aligned[j, b, 0] - constant)
-    subject = joint_flow.subject_of(own[here][0][0]) & np.isfinite(before) & np.isfinite(after)
+            before += np.abs(own[i][b][0] + own[j][b][0] - own[here][b][0])
+            after += np.abs(aligned[i, b, 0] + aligned[j, b, 0] - aligned[here, b, 0])
+    subject = joint_flow.subject_of(aligned[here, 0, 0]) & np.isfinite(before) & np.isfinite(after)
     stats = {}
     if subject.any():
         whole = float(level[subject].mean())
@@ -461,9 +552,10 @@ def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: AlignParam
     taken = picture_times(facts)
     when = [taken[frame] for frame in frames]
     sets = _sets(names, performance, engine)
-    bands = stacked.sizes["band"]
+    bands = _checked_bands(params.bands, stacked, sets, still=engine == "none" and not performance)
+    band_nm = [float(band) for band in stacked.along("band")]
     together = all(pairs(list(window.at)) and "C" in window.at for window in sets)
-    apart = engine == "none" and not performance and not together
+    apart = engine == "none" and not performance and not together and bands == "none"
     places = [sorted(window.at.values()) for window in sets]
     if performance:
         places = _with_lacking(places, [window.frame for window in sets], names)
@@ -479,14 +571,18 @@ def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: AlignParam
             # a microsecond is finer than any clock here, and equal windows then have equal keys
             "times": [round(when[i] - now, 6) if i >= 0 else 0.0 for i in fill],
             "around": [round(when[i] - now, 6) for i in near],
-            "bands": bands,
+            "band_nm": band_nm,
+            "components": list(stacked.along("component")),
             "engine": engine,
+            "bands": bands,
             "apart": apart,
             "moving": performance,
         }
         for some in [[i] for i in fill] if apart else [fill]:
             # a place that is not filled reads the tracking frame, and is not looked at
-            pieces = [{dim: i if i >= 0 else window.frame, "band": b} for i in (*some, *near) for b in range(bands)]
+            pieces = [
+                {dim: i if i >= 0 else window.frame, "band": b} for i in (*some, *near) for b in range(len(band_nm))
+            ]
             mine = {k: [told[k][fill.index(some[0])]] for k in ("names", "frames", "times")} if apart else {}
             groups.append(Group({"radiance": pieces}, {**told, **mine}))
     sizes = {
@@ -507,13 +603,40 @@ def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: AlignParam
     if performance:
         labels["time_s"] = (("tracking",), [stacked.along("time_s")[window.frame] for window in sets])
     attrs = {k: v for k, v in stacked.attrs.items() if k == "cannot_be_made"} | {"engine": engine}
+    outputs = {"flow", "aligned", "confidence"} if apart else {"flow", "aligned", "confidence", "residual"}
+    if bands != "none":
+        attrs |= {"bands": bands, "bands_aligned_to_nm": band_nm[_middle(len(band_nm))]}
+        outputs |= {"band_flow", "band_confidence"}
     return Arrangement(
         Grid(sizes, labels, attrs),
         tuple(groups),
         {"illumination|frame": dim},
         ("tracking", "member") if apart else None,
-        frozenset({"flow", "aligned", "confidence"}) if apart else None,
+        frozenset(outputs),
     )
+
+
+def _checked_bands(bands: Bands, stacked: Grid, sets: Sequence[Window], *, still: bool) -> str:
+    """What brings the bands together; none where there is one band only."""
+    components = list(stacked.along("component"))
+    if stacked.sizes["band"] < 2:
+        return "none"
+    if bands == "specular" and "specular" not in components:
+        raise StageError(
+            f"bands: specular needs the specular component; this capture has {', '.join(components)}; bands: auto "
+            "would work"
+        )
+    if bands == "relief" and not (still and all(pairs(list(window.at)) for window in sets)):
+        raise StageError(
+            "bands: relief needs a gradient and its complement (X Xc, Y Yc or Z Zc) of a still capture with "
+            "engine: none; bands: auto would work"
+        )
+    if bands != "none" and min(stacked.sizes["y"], stacked.sizes["x"]) < 2 * _LEAST_PX:
+        raise StageError(
+            f"pictures of {stacked.sizes['x']} x {stacked.sizes['y']} are too small for their bands to be aligned; "
+            f"{2 * _LEAST_PX} pixels a side are needed"
+        )
+    return bands
 
 
 def _with_lacking(places: Sequence[list[int]], tracking: Sequence[int], names: Sequence[str]) -> list[list[int]]:
@@ -561,7 +684,7 @@ def _context(
     return {name: labels[name] for name in _TOLD}
 
 
-_TOLD = ("names", "frames", "times", "around", "bands", "engine", "apart", "moving")
+_TOLD = ("names", "frames", "times", "around", "band_nm", "components", "engine", "bands", "apart", "moving")
 
 STAGE = Stage(
     name="align",
@@ -588,6 +711,17 @@ STAGE = Stage(
             ("tracking", "y", "x"),
             "float32",
             attrs={"units": "radiance", "long_name": "|gradient + complement - constant| after alignment"},
+        ),
+        "band_flow": Output(
+            ("tracking", "band", "xy", "y", "x"),
+            "float32",
+            whole=("xy", "y", "x"),
+            attrs={"units": "pixel", "long_name": "from the band that the others are aligned to, on its grid"},
+        ),
+        "band_confidence": Output(
+            ("tracking", "band", "y", "x"),
+            "float32",
+            attrs={"units": "1", "long_name": "below a half the flow of a band is likely wrong by a pixel"},
         ),
     },
     blocks=("tracking",),

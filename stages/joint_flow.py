@@ -31,7 +31,7 @@ Sources: Wilson et al. (2010), ACM TOG 29(2), for the complement constraint; Dut
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import cv2
@@ -71,19 +71,36 @@ class Flows(NamedTuple):
     """(picture, y, x): predicted error of the flow, pixels."""
 
 
+class Features(NamedTuple):
+    """One level of a pyramid for `match`: what two pictures show of the same things, feature by feature."""
+
+    here: Image
+    """(feature, y, x), on the grid of the flow."""
+    there: Image
+    """(feature, y, x), of the other picture."""
+    weight: Image
+    """(feature, y, x): 1 / the standard deviation of here(x) - there(x + flow(x)); 0 where that says nothing."""
+    known: NDArray[np.bool_]
+    """(y, x): where the other picture is known."""
+    subject: NDArray[np.bool_]
+    """(y, x), on the grid of the flow."""
+
+
 class _Terms(NamedTuple):
     basis: Image  # (picture, field)
     pairs: NDArray[np.int64]  # (pair, 2)
     single: NDArray[np.int64]  # pictures with a direct term
     weight: NDArray[np.float64]  # of each direct term
+    target: NDArray[np.int64]  # which of a level's targets each picture is held against
 
 
 class _Level(NamedTuple):
-    constant: Image
+    root: Image
+    """(target, y, x): what direct terms are weighted with, and the first one complements by its inverse"""
     smooth_less: Image
     """h(c)"""
     fine: Image
-    """n(c)"""
+    """(target, y, x): n(c)"""
     pictures: Image
     """(picture, y, x, 2): h and n of each"""
     known: NDArray[np.bool_]
@@ -106,7 +123,7 @@ def joint(
 
 def joint_flows(constant: Image, pair: Sequence[Image], *, times: Sequence[float]) -> Flows:
     """`joint`, with doubt."""
-    terms = _Terms(_powers(times, 2), np.array([[0, 1]]), np.arange(2), np.full(2, _DIRECT))
+    terms = _Terms(_powers(times, 2), np.array([[0, 1]]), np.arange(2), np.full(2, _DIRECT), np.zeros(2, np.int64))
     return _solve(
         constant, pair, terms, bending=(60.0, 600.0), warps=(6, 4, 2), bounds=((20.0, 80.0), (300.0, 5000.0))
     )
@@ -136,7 +153,11 @@ def follow(
     fields = min(3, len(set(times)))
     direct = np.where(np.asarray(steady, bool), 1.0, _DIRECT)
     terms = _Terms(
-        _powers(times, fields), np.array(pairs, np.int64).reshape(-1, 2), np.arange(len(pictures)), direct
+        _powers(times, fields),
+        np.array(pairs, np.int64).reshape(-1, 2),
+        np.arange(len(pictures)),
+        direct,
+        np.zeros(len(pictures), np.int64),
     )
     start = _between_tracking_frames(constant, pictures, times, steady, fields)
     bending = (60.0, 180.0, 180.0)[:fields]
@@ -147,8 +168,52 @@ def follow(
 
 def nudge(constant: Image, picture: Image, start: Image) -> Flows:
     """The flow of one picture by itself, from a start that is nearly right; (xy, y, x) in pixels."""
-    terms = _Terms(np.ones((1, 1), np.float32), np.empty((0, 2), np.int64), np.arange(1), np.ones(1))
-    return _solve(constant, [picture], terms, bending=(200.0,), warps=(3, 3), levels=2, start=start)
+    return _solve(constant, [picture], _alone(1), bending=(200.0,), warps=(3, 3), levels=2, start=start)
+
+
+def match(
+    levels: Sequence[Features], *, bending: float, warps: Sequence[int], bounds: tuple[float, float] | None = None
+) -> Flows:
+    """The one flow between two pictures that several features of them share, from zero.
+
+    Args:
+        levels: from the full size down, each half as large as the one before.
+        bending: weight of the flow's second differences.
+        warps: the Gauss-Newton steps per level from the coarsest, the last one for all finer levels.
+        bounds: of that weight, when it is to follow from how much the flow bends.
+
+    Returns:
+        Flows of one picture: there(x + flow(x)) shows what here(x) shows.
+    """
+
+    def level(k: int) -> _Level:
+        at = levels[k]
+        both = np.stack([np.zeros_like(at.there), at.there], axis=-1)
+        known = np.ascontiguousarray(np.broadcast_to(at.known, at.there.shape))
+        return _Level(at.weight, np.zeros_like(at.weight[0]), at.here, both, known, _inner(at.subject))
+
+    terms = _alone(len(levels[0].here))
+    found = _descended(
+        level,
+        levels[0].subject,
+        len(levels),
+        terms,
+        bending=(bending,),
+        warps=warps,
+        bounds=None if bounds is None else (bounds,),
+    )
+    return Flows(found.flow[:1], found.doubt_px[:1])
+
+
+def _alone(count: int) -> _Terms:
+    """Direct terms of so many pictures with one flow, each against its own target."""
+    return _Terms(
+        np.ones((count, 1), np.float32),
+        np.empty((0, 2), np.int64),
+        np.arange(count),
+        np.ones(count),
+        np.arange(count),
+    )
 
 
 def _powers(times: Sequence[float], fields: int) -> Image:
@@ -221,18 +286,48 @@ def _solve(
     subject = subject_of(constant)
     known = [np.isfinite(p) for p in pictures]
     images = [_filled(np.asarray(p, np.float32) / bright) for p in (constant, *pictures)]
-    depth = levels or min(5, max(1, int(math.log2(min(height, width) / 40)) + 1))
+    depth = levels or depth_of((height, width))
     pyramid = [(images, known, subject)]
     for _ in range(depth - 1):
         images, known, subject = pyramid[-1]
-        pyramid.append(([cv2.pyrDown(i) for i in images], [_halved(k) for k in known], _halved(subject)))
+        pyramid.append(([cv2.pyrDown(i) for i in images], [halved(k) for k in known], halved(subject)))
+    return _descended(
+        lambda level: _prepared(*pyramid[level], finest=level == 0),
+        pyramid[0][2],
+        depth,
+        terms,
+        bending=bending,
+        warps=warps,
+        start=start,
+        bounds=bounds,
+    )
+
+
+def depth_of(shape: tuple[int, int]) -> int:
+    """How many levels a pyramid has for pictures of this shape."""
+    return min(5, max(1, int(math.log2(min(shape) / 40)) + 1))
+
+
+def _descended(
+    prepared: Callable[[int], _Level],
+    subject: NDArray[np.bool_],
+    depth: int,
+    terms: _Terms,
+    *,
+    bending: Sequence[float],
+    warps: Sequence[int],
+    start: Image | None = None,
+    bounds: Sequence[tuple[float, float]] | None = None,
+) -> Flows:
+    """The Gauss-Newton steps of `_solve`; `prepared` gives a level by its number, 0 at full size."""
+    height, width = subject.shape
     weights = np.repeat(np.asarray(bending, float), 2)
     count = len(weights)
     theta = np.empty((0, 0, 0))
     spacing = 0
     for level in range(depth - 1, -1, -1):
-        at = _prepared(*pyramid[level], finest=level == 0)
-        rows, columns = at.constant.shape
+        at = prepared(level)
+        rows, columns = at.subject.shape
         step = max(8, round(width / 2**level / 32))
         nodes = (rows - 1) // step + 2, (columns - 1) // step + 2
         if theta.size:
@@ -253,14 +348,14 @@ def _solve(
             before = theta
             theta = before + minimise(hessian, gradient, before, weights, edges, MASS)
     # how much of the solution is the prior's; at the nodes, which is as fine as it varies
-    swayed = np.zeros((*theta.shape[:2], len(pictures)))
+    swayed = np.zeros((*theta.shape[:2], len(terms.basis)))
     for factor in (10.0, 0.1):
         away = before + minimise(hessian, gradient, before, factor * weights, edges, MASS) - theta
         moved = np.einsum("mk,yxkc->yxmc", terms.basis, away.reshape(*theta.shape[:2], -1, 2))
         swayed = np.maximum(swayed, np.hypot(moved[..., 0], moved[..., 1]))
     flow = _flows(_at_pixels(theta, (height, width), spacing), terms.basis)
     doubt = _at_pixels(swayed, (height, width), spacing)
-    return Flows(flow, np.float32(_SWAY) * doubt + extended(flow, pyramid[0][2]))
+    return Flows(flow, np.float32(_SWAY) * doubt + extended(flow, subject))
 
 
 def _stiffness(theta: NDArray[np.float64], bounds: Sequence[tuple[float, float]]) -> NDArray[np.float64]:
@@ -319,7 +414,8 @@ def _filled(picture: Image) -> Image:
     return np.where(known, picture, mean).astype(np.float32)
 
 
-def _halved(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def halved(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The next level of a mask: where all that a pixel there is made of is in it."""
     return np.asarray(cv2.pyrDown(mask.astype(np.float32)) > 0.95)
 
 
@@ -329,11 +425,17 @@ def _prepared(
     if finest:
         images = [cv2.GaussianBlur(i, (0, 0), _PREFILTER_PX) for i in images]
     fine = [fine_texture(i, subject if k == 0 else i > 0.01) for k, i in enumerate(images)]
-    inner = cv2.erode(subject.astype(np.uint8), np.ones((2 * _MARGIN_PX + 1,) * 2, np.uint8)) > 0
     both = np.empty((len(images) - 1, *subject.shape, 2), np.float32)
     for image, texture, out in zip(images[1:], fine[1:], both, strict=True):
         cv2.merge([_less_smooth(image), texture], out)
-    return _Level(images[0], _less_smooth(images[0]), fine[0], both, np.stack(known), inner)
+    # shot noise: variance goes with the counts
+    root = np.sqrt(np.maximum(images[0], _ROOT_FLOOR))
+    return _Level(root[None], _less_smooth(images[0]), fine[0][None], both, np.stack(known), _inner(subject))
+
+
+def _inner(subject: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The subject without its rim."""
+    return np.asarray(cv2.erode(subject.astype(np.uint8), np.ones((2 * _MARGIN_PX + 1,) * 2, np.uint8)) > 0)
 
 
 def _less_smooth(image: Image) -> Image:
@@ -342,18 +444,21 @@ def _less_smooth(image: Image) -> Image:
     return np.asarray(cv2.addWeighted(image, 1.0, mean, _KEPT_SMOOTH - 1, 0.0, dst=mean))
 
 
-def fine_texture(image: Image, lit: NDArray[np.bool_]) -> Image:
-    """n: texture relative to the local mean, less what is smooth; 0 where not lit. In place where it can be."""
+def fine_texture(image: Image, lit: NDArray[np.bool_], sigma: float = _SIGMA_PX) -> Image:
+    """n: texture relative to the local mean, less what is smooth; 0 where not lit.
+
+    `sigma`, pixels, is that of the local mean. In place where it can be.
+    """
     weight = lit.astype(np.float32)
-    part = cv2.GaussianBlur(weight, (0, 0), _SIGMA_PX)
+    part = cv2.GaussianBlur(weight, (0, 0), sigma)
     np.maximum(part, np.float32(1e-3), out=part)
-    mean = cv2.GaussianBlur(cv2.multiply(image, weight), (0, 0), _SIGMA_PX)
+    mean = cv2.GaussianBlur(cv2.multiply(image, weight), (0, 0), sigma)
     mean /= part
     out = cv2.subtract(image, mean)
     np.maximum(mean, _ROOT_FLOOR, out=mean)
     out /= mean
     out *= weight
-    cv2.GaussianBlur(out, (0, 0), _SIGMA_PX, dst=mean)
+    cv2.GaussianBlur(out, (0, 0), sigma, dst=mean)
     mean /= part
     out -= mean
     out *= weight
@@ -392,8 +497,21 @@ def _linearised(
     few[::thin, ::thin] = at.subject[::thin, ::thin]
     residuals = np.full((count, max(1, int(np.count_nonzero(few)))), np.nan, np.float32)
     nothing = np.zeros((1, 1, 1, 1), np.float32), np.zeros((1, 1, 1), np.float32)
-    arguments = (at.constant, at.smooth_less, at.fine, at.pictures, at.known)
-    _sum_up(*arguments, few, fields, *terms[:3], np.ones(count, np.float32), step, 1, 0, True, *nothing, residuals)
+    arguments = (at.root, at.smooth_less, at.fine, at.pictures, at.known)
+    _sum_up(
+        *arguments,
+        few,
+        fields,
+        *terms[:3],
+        terms.target,
+        np.ones(count, np.float32),
+        step,
+        1,
+        0,
+        True,
+        *nothing,
+        residuals,
+    )
     scale = np.ones(count)
     for i, row in enumerate(residuals):
         seen = row[row == row]
@@ -406,15 +524,15 @@ def _linearised(
     hessian = np.zeros((rows - 1, columns - 1, size, size), np.float32)
     gradient = np.zeros((rows, columns, size), np.float32)
     _sum_up(
-        *arguments, at.subject, fields, *terms[:3], scale.astype(np.float32), step, sparse, turn, False,
-        hessian, gradient, residuals,
+        *arguments, at.subject, fields, *terms[:3], terms.target, scale.astype(np.float32), step, sparse, turn,
+        False, hessian, gradient, residuals,
     )  # fmt: skip
     return hessian.astype(np.float64), gradient.astype(np.float64)
 
 
 @njit(**FLAGS)
 def _sum_up(
-    constant: Image,
+    root: Image,
     smooth_less: Image,
     fine: Image,
     pictures: Image,
@@ -424,6 +542,7 @@ def _sum_up(
     basis: Image,
     pairs: NDArray[np.int64],
     single: NDArray[np.int64],
+    target: NDArray[np.int64],
     scale: Image,
     step: int,
     sparse: int,
@@ -434,7 +553,7 @@ def _sum_up(
     residuals: Image,
 ) -> None:
     """Add up J^T W J and J^T W rho over the chosen pixels, one in sparse^2; or write |rho| of each."""
-    height, width = constant.shape
+    height, width = root.shape[1:]
     count = pictures.shape[0]
     rows, columns, size = theta.shape
     fields = size // 2
@@ -500,26 +619,28 @@ def _sum_up(
                                 gx += wy[j] * (dx[0] * r0 + dx[1] * r1 + dx[2] * r2 + dx[3] * r3)
                                 gy += dy[j] * along
                             value[m, q], slope[m, q, 0], slope[m, q, 1] = v, gx, gy
-                    # shot noise: variance goes with the counts
-                    root = np.float32(math.sqrt(max(constant[y, x], _ROOT_FLOOR)))
                     for term in range(len(pairs) + len(single)):
                         if term < len(pairs):
                             i, j = pairs[term, 0], pairs[term, 1]
                             if not (seen[i] and seen[j]):
                                 continue
-                            rho = (value[i, 0] + value[j, 0] - smooth_less[y, x]) / root
+                            weight = root[0, y, x]
+                            rho = (value[i, 0] + value[j, 0] - smooth_less[y, x]) / weight
                             for k in range(fields):
                                 for e in range(2):
                                     both = basis[i, k] * slope[i, 0, e] + basis[j, k] * slope[j, 0, e]
-                                    jacobian[2 * k + e] = both / root
+                                    jacobian[2 * k + e] = both / weight
                         else:
                             i = single[term - len(pairs)]
                             if not seen[i]:
                                 continue
-                            rho = (value[i, 1] - fine[y, x]) * root
+                            weight = root[target[i], y, x]
+                            if weight == 0:
+                                continue
+                            rho = (value[i, 1] - fine[target[i], y, x]) * weight
                             for k in range(fields):
                                 for e in range(2):
-                                    jacobian[2 * k + e] = basis[i, k] * slope[i, 1, e] * root
+                                    jacobian[2 * k + e] = basis[i, k] * slope[i, 1, e] * weight
                         if only_residuals:
                             residuals[term, place] = abs(rho)
                             continue
