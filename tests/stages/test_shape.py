@@ -5,7 +5,7 @@ import pytest
 
 from dag.stage import StageError
 from stages.pinhole import Pinhole
-from stages.shape import shape
+from stages.shape import BELOW, RIGHT, breaks, shape
 from tests.scenes import light_places, near_ball
 
 RADIUS_MM = 80.0
@@ -23,11 +23,54 @@ def ball(size: int = 96) -> tuple[np.ndarray, np.ndarray, np.ndarray, Pinhole]:
 
 
 def test_depth_that_was_found_is_the_shape() -> None:
-    _, depth, albedo, camera = ball()
+    normals, depth, albedo, camera = ball()
     found = np.asarray(depth, np.float32)
-    found.flags.writeable = False
-    out = shape([found], [], [albedo], camera=camera)["depth_mm"]
-    np.testing.assert_array_equal(out, found)
+    for given in (found, normals, albedo):
+        given.flags.writeable = False
+    out = shape([found], [normals], [albedo], camera=camera)
+    np.testing.assert_array_equal(out["depth_mm"], found)
+    # a ball has no break; its last pixels may be steeper than 83 degrees
+    steep = np.abs(normals[2]) < 0.15
+    assert not out["edge"][np.isfinite(depth) & ~steep].any()
+
+
+def test_breaks_by_hand() -> None:
+    """A wall 60 mm behind another: a = log(960 / 900) / 0.01 = 6.5, and both face the camera, so a1 = a2 = 0."""
+    turn = np.diag([1.0, -1.0, -1.0])
+    camera = Pinhole((4, 6), (100.0, 100.0, 2.5, 1.5), (0.0,) * 5, turn, np.array([0, 0, 900.0]))
+    depth = np.full((4, 6), 900.0)
+    depth[:, 3:] = 960.0
+    facing = np.zeros((4, 6, 3))
+    facing[..., 2] = -1
+    wanted = np.zeros((4, 6), np.uint8)
+    wanted[:, 2] = RIGHT
+    np.testing.assert_array_equal(breaks(depth, facing, camera), wanted)
+    # a slope of 6.5 that the normals have seen is none; nor is one of which they say nothing
+    sloped = np.broadcast_to(np.array([np.log(960 / 900) / 0.01, 0, -1.0]), (4, 6, 3))
+    sloped = sloped / np.linalg.norm(sloped, axis=2, keepdims=True)
+    assert not breaks(depth, sloped, camera)[:, 2].any()
+    assert not breaks(depth, np.zeros((4, 6, 3)), camera).any()
+    # 8 and more is one always: log(990 / 900) / 0.01 = 9.5; transposed it is below; off the subject is none
+    depth[:, 3:] = 990.0
+    assert (breaks(depth, np.zeros((4, 6, 3)), camera)[:, 2] == RIGHT).all()
+    square = Pinhole((6, 6), (100.0, 100.0, 2.5, 2.5), (0.0,) * 5, turn, np.array([0, 0, 900.0]))
+    upright = np.full((6, 6), 900.0)
+    upright[3:] = 990.0
+    upright[:, 0] = np.nan
+    wanted = np.zeros((6, 6), np.uint8)
+    wanted[2, 1:] = BELOW
+    np.testing.assert_array_equal(breaks(upright, np.zeros((6, 6, 3)), square), wanted)
+
+
+def test_a_given_mask_is_kept_to_and_all_bands_count() -> None:
+    normals, depth, albedo, camera = ball()
+    half = np.isfinite(depth)
+    half[:, :48] = False
+    out = shape([], [normals, np.full_like(normals, np.nan)], [albedo, albedo], camera=camera, mask=half)[
+        "depth_mm"
+    ]
+    assert not np.isfinite(out[:, :48]).any()
+    assert np.isfinite(out).sum() > 0.9 * half.sum()
 
 
 def test_normals_of_a_ball_integrate_to_it() -> None:
