@@ -44,6 +44,9 @@ def configure(commands: Any) -> None:
         f"happens, and at least {film.SLOWEST_FPS:g})",
     )
     export.add_argument("--every", type=int, metavar="N", help="a mesh's vertices are every Nth pixel (default: 1)")
+    export.add_argument(
+        "--normal-map", choices=mesh.SPACES, help="of a mesh: tangent (the default for glb) or object space (obj)"
+    )
     export.set_defaults(handler=handle_export)
 
 
@@ -70,10 +73,14 @@ def handle_export(options: argparse.Namespace, screen: Screen) -> int:
 
     if options.fps is not None and options.format not in film.FILMS:
         raise RequestError(f"--fps {options.fps:g}: only a film has it; choose --format {' or '.join(film.FILMS)}")
-    if options.every is not None and (options.every < 1 or options.format not in mesh.FORMATS):
+    meshes = options.format in mesh.FORMATS
+    if options.every is not None and (options.every < 1 or not meshes):
         raise RequestError(
             f"--every {options.every}: a step of 1 or more for a mesh (--format {', '.join(mesh.FORMATS)})"
         )
+    if options.normal_map is not None and not meshes:
+        raise RequestError(f"--normal-map {options.normal_map}: only a mesh has it; choose --format obj or glb")
+    space = mesh.map_space(options.format, options.normal_map) if meshes else None
     store = Store(options.store, create=False)
     session = read_session(options.session, store)
     if options.node == "capture":
@@ -81,6 +88,7 @@ def handle_export(options: argparse.Namespace, screen: Screen) -> int:
     else:
         path = current_path(session.name, options.node, store)
     dataset = open_dataset(path)
+    camera = mesh.camera_of(dataset, options.node, session, store) if meshes else None
     try:
         options.to.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -101,10 +109,11 @@ def handle_export(options: argparse.Namespace, screen: Screen) -> int:
                 screen.say(f"film: {file}")
         screen.document(answer)
         return 0
-    if options.format in mesh.FORMATS:
+    if camera is not None:
         screen.document(
             mesh.export_meshes(
                 dataset,
+                camera,
                 options.node,
                 session,
                 options.to,
@@ -112,6 +121,7 @@ def handle_export(options: argparse.Namespace, screen: Screen) -> int:
                 store,
                 form=options.format,
                 every=options.every or 1,
+                space=space,
             )
         )
         return 0

@@ -9,7 +9,7 @@ masked, perspective-correct, and aware of discontinuities (`integration.py`). No
 it is set so that the subject's median lies at the stage's centre, which is where the rig wants it.
 
 `edge` says between which neighbours the surface is broken, for whoever puts triangles on it. With a = (L' - L) /
-|r' - r|, about the tangent of the slant, and a1, a2 what the normals on its two sides predict, there is a break where
+|r' - r|, about the tangent of the slant, and a1, a2 what the normals on its two sides predict, a break is where
 
     |a| > 8    or    |a| > 2 and a lies more than 1/2 outside the range from a1 to a2 :
 
