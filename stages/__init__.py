@@ -30,6 +30,7 @@ that a stage calls; they count in its key.
     absorption.py            how strongly melanin and blood absorb, over the pass bands of filters
     skin_layers.py           what layered skin reflects, and whether a spectrum is like it
     microfacets.py           how a rough surface reflects, and what a rig's lights show of it
+    relighting.py            a found surface under other lights
     pinhole.py               the reference camera: rays, points, smaller pictures
 """
 

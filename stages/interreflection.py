@@ -160,13 +160,34 @@ class Tiles:
         for _ in range(_BOUNCES):
             albedo = np.clip(seen / np.maximum(light[:, 3] + arrived[:, 3], least), 0, _LARGEST_ALBEDO)
             arrived = self._factors @ (albedo[:, None] * (light + arrived))
-        grid = np.zeros((*self._used.shape, 4), np.float32)
+        return self._spread(arrived)
+
+    def passed_on(self, direct: Array, albedo: Array, bounces: int) -> Array:
+        """Irradiance that arrives by way of other tiles, of a known albedo.
+
+        Args:
+            direct: (y, x, channel): irradiance from the lights.
+            albedo: (y, x, channel).
+            bounces: how often light is passed on.
+
+        Returns:
+            (y, x, channel), smooth.
+        """
+        light, shade = self.mean(direct), np.clip(self.mean(albedo), 0, _LARGEST_ALBEDO)
+        arrived = np.zeros_like(light)
+        for _ in range(bounces):
+            arrived = self._factors @ (shade * (light + arrived))
+        return np.stack([self._spread(arrived[:, i : i + 1])[..., 0] for i in range(arrived.shape[1])], axis=-1)
+
+    def _spread(self, arrived: Array) -> Array:
+        """(y, x, number) of numbers by tile (tile, number), at most four."""
+        grid = np.zeros((*self._used.shape, arrived.shape[1]), np.float32)
         grid[self._used] = arrived
         y, x = np.mgrid[0 : self._mask.shape[0], 0 : self._mask.shape[1]].astype(np.float32)
         where = ((x + 0.5) / self._step - 0.5, (y + 0.5) / self._step - 0.5)
         spread = cv2.remap(grid, *where, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         known = cv2.remap(self._used.astype(np.float32), *where, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        return np.asarray(spread / np.maximum(known, 1e-6)[..., None], np.float64)
+        return np.asarray(spread.reshape(*known.shape, -1) / np.maximum(known, 1e-6)[..., None], np.float64)
 
 
 @njit(nogil=True, cache=True)
