@@ -249,22 +249,27 @@ def _picked(skin: Skin, known: "NDArray[np.bool_]") -> dict[str, tuple[int, int]
 def _spectrum(skin: Skin, name: str, at: tuple[int, int] | None, where: "NDArray[np.bool_]") -> Point:
     import numpy as np
 
-    from stages.chromophores import predicted
+    from stages.chromophores import chromophores, predicted
     from stages.skin_layers import likeness
 
-    rho = np.median(skin.reflectance[:, where], axis=1).astype(np.float64)
-    pigments = {name: float(np.median(picture[where])) for name, picture in skin.maps.items()}
+    rho, error = (
+        np.median(picture[:, where], axis=1, keepdims=True)[..., None]
+        for picture in (skin.reflectance, skin.standard_error)
+    )
+    settings = skin.params.model_dump(exclude={"pass_band"})
+    made = chromophores(rho, error, passing=skin.passing, **settings)
+    pigments = {name: float(made[name][0, 0]) for name in PIGMENTS}
     fit = predicted(
         *(np.array([pigments[name]]) for name in PIGMENTS[:3]), passing=skin.passing, params=skin.params
     )[0]
+    spectrum, noise = (values[:, 0, 0].astype(np.float64) for values in (rho, error))
     found = likeness(
-        np.maximum(rho, 1e-4),
+        np.maximum(spectrum, 1e-4),
         skin.passing,
         saturation=skin.params.saturation,
         vessel_radius_um=skin.params.vessel_radius_um,
     )
-    error = np.median(skin.standard_error[:, where], axis=1).astype(np.float64)
-    return Point(name, at, rho, error, fit, pigments, found.angle_deg)
+    return Point(name, at, spectrum, noise, fit, pigments, found.angle_deg)
 
 
 def _draw_maps(skin: Skin, picked: Sequence[Point], path: Path) -> None:
