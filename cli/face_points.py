@@ -34,7 +34,9 @@ def read_points(path: Path, sessions: Sequence[str]) -> dict[str, Points]:
 
     plain = load(path, what="a file of points").value
     if not isinstance(plain, Mapping):
-        raise RequestError(f"{path}: expected sessions with their points, such as `s1: {{left_eye: [120, 90], ...}}`")
+        raise RequestError(
+            f"{path}: expected sessions with their points, such as `s1: {{left_eye: [120, 90], ...}}`"
+        )
     found: dict[str, Points] = {}
     for name in sessions:
         if name not in plain:
