@@ -25,8 +25,6 @@ that a stage calls; they count in its key.
     subject_mask.py          where the subject is
     colour.py                from narrow bands to colour
     shading.py               a surface under lights that somebody chooses, with cast shadows
-    face_frame.py            faces brought to one place, one oval, and between two faces
-    matching.py              equal mean, contrast, histogram and spectrum, in the pictures as they are stored
     absorption.py            how strongly melanin and blood absorb, over the pass bands of filters
     skin_layers.py           what layered skin reflects, and whether a spectrum is like it
     microfacets.py           how a rough surface reflects, and what a rig's lights show of it
