@@ -2,7 +2,7 @@
 
 `maps` runs the real command on `rendered/static_A` of the shared data, whose melanin and haemoglobin are known, and
 judges inside the truth mask where the estimate is known. The other tables take spectra that others measured
-(`real/skin_spectra`: skin by M. Vrhel, 400 to 700 nm; a ColorChecker) through the six pass bands of that capture, flat.
+(`real/skin_spectra`: skin by M. Vrhel, 400 to 700 nm; a ColorChecker) through the six pass bands of that capture, bells.
 """
 
 import argparse
@@ -23,9 +23,9 @@ from store.document import load
 Array = NDArray[Any]
 SETTINGS = {
     "beer_lambert (the default)": [],
-    "beer_lambert, gaussian pass bands": ["pass_band=gaussian"],
+    "beer_lambert, flat pass bands": ["pass_band=flat"],
     "kubelka_munk": ["model=kubelka_munk"],
-    "kubelka_munk, gaussian pass bands": ["model=kubelka_munk", "pass_band=gaussian"],
+    "kubelka_munk, flat pass bands": ["model=kubelka_munk", "pass_band=flat"],
 }
 SKINS = ("Caucasian", "Asian", "EastIndian", "AfricanAmerican")
 ERROR = 0.02

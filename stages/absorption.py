@@ -81,13 +81,13 @@ def reference(spectrum: Array) -> float:
     return float(spectrum[np.abs(NM - REFERENCE_NM) <= _REFERENCE_HALF_NM].mean())
 
 
-def pass_bands(bands: Sequence[Mapping[str, Any]], shape: PassBand = "flat") -> Array:
+def pass_bands(bands: Sequence[Mapping[str, Any]], shape: PassBand = "gaussian") -> Array:
     """Weights over NM of each band, (band, nm); a row adds up to 1.
 
     Args:
         bands: entries of a `bands` item: centre_nm, width_nm, and optionally curve, pairs of nm and transmission. A
             curve may hold the spectrum of the light as well; what counts is their product.
-        shape: of a band without a curve: flat, width_nm wide; or gaussian with that full width at half maximum.
+        shape: of a band without a curve: gaussian, width_nm at half maximum; or flat, width_nm wide.
 
     Raises:
         StageError: a band has no width, or reaches beyond the table.

@@ -15,7 +15,7 @@ from stages.chromophores import STAGE, ChromophoresParams, chromophores, predict
 
 NAN = np.nan
 SIX = tuple(zip((407, 434, 445, 497, 576, 655), (17, 17, 20, 16, 10, 15), strict=True))
-PASSING = absorption.pass_bands([{"centre_nm": c, "width_nm": w} for c, w in SIX])
+PASSING = absorption.pass_bands([{"centre_nm": c, "width_nm": w} for c, w in SIX], "flat")
 BLOOD = absorption.haemoglobin(0.75)
 SPECTRA = np.stack(
     [PASSING @ absorption.melanin(), PASSING @ BLOOD / absorption.reference(BLOOD), np.ones(6)], axis=1
@@ -34,7 +34,7 @@ def fit(rho: Any, error: float = 1e-3, passing: NDArray[np.float64] = PASSING, *
 def test_three_bands_by_hand() -> None:
     # bands 1 nm wide, where melanin is (l / 576)^-3.33: 1, 576/600 and 576/660 to the power 3.33
     bands = [{"centre_nm": nm, "width_nm": 1} for nm in (576, 600, 660)]
-    passing = absorption.pass_bands(bands)
+    passing = absorption.pass_bands(bands, "flat")
     melanin = np.array([1, 0.96**3.33, (576 / 660) ** 3.33])
     np.testing.assert_allclose(passing @ absorption.melanin(), melanin, rtol=1e-5)
     # blood at 600 nm: 0.75 x 3200 + 0.25 x 14700, at 660 nm 0.75 x 320 + 0.25 x 3230, over the mean about 576 nm
@@ -179,7 +179,7 @@ def test_oxygenation_is_put_out_where_it_can_be(model: Any, bands: int, told: bo
 
 
 def test_a_curve_counts_as_it_is() -> None:
-    flat = absorption.pass_bands([{"centre_nm": 500, "width_nm": 20}])
+    flat = absorption.pass_bands([{"centre_nm": 500, "width_nm": 20}], "flat")
     box = [(489.99, 0), (490, 0.8), (510, 0.8), (510.01, 0)]
     curve = absorption.pass_bands([{"centre_nm": 500, "width_nm": None, "curve": box}])
     # the ends of the flat top count half, so that its width is right
