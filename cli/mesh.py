@@ -22,7 +22,6 @@ from typing import TYPE_CHECKING, Any
 from cli.show import Screen
 from store.errors import RequestError, WorkError
 from store.root import Store
-from store.sessions import Session
 
 if TYPE_CHECKING:
     import numpy as np
@@ -30,6 +29,7 @@ if TYPE_CHECKING:
     from PIL.Image import Image as Picture
 
     from stages.pinhole import Pinhole
+    from store.sessions import Session
 
 FORMATS = ("ply", "obj", "glb")
 _EDGE_ON = 0.06
@@ -380,7 +380,7 @@ def _write(contents: "Mapping[Path, bytes]") -> None:
             raise WorkError(f"{target} cannot be written ({error.strerror or error})") from None
 
 
-def camera_of(dataset: Any, node: str, session: Session, store: Store) -> "Pinhole":
+def camera_of(dataset: Any, node: str, session: "Session", store: Store) -> "Pinhole":
     """The camera that saw a node's depth; to be asked for before anything is written.
 
     Raises:
@@ -420,7 +420,7 @@ def export_meshes(
     dataset: Any,
     camera: "Pinhole",
     node: str,
-    session: Session,
+    session: "Session",
     to: Path,
     screen: Screen,
     store: Store,
@@ -466,7 +466,7 @@ def export_meshes(
     return {"files": files, "format": form, "unit": unit_name, "normal_map": space}
 
 
-def _at(session: Session, store: Store, nodes: Sequence[str], array: str, frame: int) -> Any:
+def _at(session: "Session", store: Store, nodes: Sequence[str], array: str, frame: int) -> Any:
     """The array of the first of these nodes that has a result with it, at a tracking frame; None without."""
     from store.grid import open_dataset
     from store.results import current
@@ -481,7 +481,7 @@ def _at(session: Session, store: Store, nodes: Sequence[str], array: str, frame:
     return None
 
 
-def _colour(session: Session, store: Store, items: Mapping[str, Any], frame: int) -> Any:
+def _colour(session: "Session", store: Store, items: Mapping[str, Any], frame: int) -> Any:
     """Albedo as linear sRGB (y, x, rgb), NaN where it is not known; None where no node has one."""
     import numpy as np
 
