@@ -8,6 +8,8 @@ the engines' own code. Seconds are CPU seconds of one pair in one thread, both f
 The reference engines were tuned on seeds 100 to 104, textured, 298 x 182: parameter after parameter through `GRID`,
 a value kept where it lowered the mean endpoint error of its best iteration by more than 1 %. `--tune` does it again from the present
 settings and prints every step; nothing is written. The plain flows have the settings of the alternating ones.
+
+`band_alignment.py` measures the bands of a multispectral capture.
 """
 
 import argparse
@@ -23,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
+from benchmarks import band_alignment
 from benchmarks.accuracy import DOCS, angle
 from benchmarks.moving_scenes import SIZES, Kind, Scene, scene
 from benchmarks.near_light import changed
@@ -284,6 +287,7 @@ def main() -> None:
         "engines": compared,
         "kinds": kinds,
         "iterations": lambda: draw_iterations(first),
+        "bands": band_alignment.table,
     }
     parser.add_argument("--only", choices=works, help="measure and write this table alone")
     asked = parser.parse_args()

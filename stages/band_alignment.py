@@ -26,8 +26,9 @@ better than a turn; relief does better there. Edges of the diffuse component mat
 What has no texture at all has its flow extended from around it.
 
 Sources: Dutta (2010), future work, for alignment on the specular component; Wilson et al. (2010), ACM TOG 29(2),
-for r_a + r_a' = r_c; Brox et al. (2004), doi:10.1007/978-3-540-24673-2_3, for gradients against change of light;
-Immerkaer (1996), doi:10.1006/cviu.1996.0060, for noise without complements. Relief and the weights are ours.
+for r_a + r_a' = r_c; Brox et al. (2004), doi:10.1007/978-3-540-24673-2_3, for gradients against change of
+brightness; Immerkaer (1996), doi:10.1006/cviu.1996.0060, for noise without complements. Relief and the weights are
+ours.
 """
 
 from collections.abc import Mapping, Sequence
