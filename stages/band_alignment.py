@@ -13,10 +13,9 @@ sign, so their pictures do not match. Three things do:
 Each gives features: its texture relative to the local mean, at two scales. One flow per band, smooth between the
 nodes of a block grid, makes them match those of the reference band (`joint_flow.match`). A feature counts by its
 noise, which is measured in the capture. With s^2 the variance of the noise in a feature at a place, e^2 the local
-power that the feature has beyond it, m a misfit that is there without noise, and k a factor of its kind, the
-weight is
+power that the feature has beyond it, and m a misfit that is there without noise, the weight is
 
-    w^2 = k e^2 / ((e^2 + s^2) (s^2 + m^2)) ,
+    w^2 = e^2 / ((e^2 + s^2) (s^2 + m^2)) ,
 
 the share of signal in it over the variance of its difference. So where there is little specular light the others
 decide.
@@ -152,7 +151,8 @@ def band_flow(here: Light, there: Light, *, kinds: Sequence[Kind] = KINDS) -> Ba
     for level in range(1, depth_of(subject.shape)):
         one, two = one.smaller(), two.smaller()
         levels.append(_features(one, two, level)[0])
-    found = match(levels, bending=_BENDING, warps=_WARPS, bounds=_BOUNDS)
+    factors = [_FACTOR[kind] for kind in owner]
+    found = match(levels, factors=factors, bending=_BENDING, warps=_WARPS, bounds=_BOUNDS)
     alike = _alike(finest, found.flow[0])
     if alike < ALIKE:
         return _none(subject.shape, alike)
@@ -213,7 +213,7 @@ def _features(here: _Side, there: _Side, level: int) -> tuple[Features, list[Kin
             noise = noise_a + noise_b
             power = _spread(np.where(here.subject, a * a + b * b, np.float32(0))) / inside
             signal = np.maximum(power - noise, 0)
-            square = _FACTOR[kind] * signal / ((power + np.float32(1e-12)) * (noise + _MISFIT[kind] ** 2))
+            square = signal / ((power + np.float32(1e-12)) * (noise + _MISFIT[kind] ** 2))
             ours.append(a)
             theirs.append(b)
             weights.append(np.where(here.subject, np.sqrt(square), 0).astype(np.float32))
@@ -258,7 +258,7 @@ def _parts(at: Features, owner: Sequence[Kind]) -> dict[Kind, float]:
     told = dict.fromkeys(owner, 0.0)
     for feature, weight, kind in zip(at.there, at.weight, owner, strict=True):
         down, across = np.gradient(feature)
-        told[kind] += float(np.sum((weight**2 * (down**2 + across**2))[at.subject], dtype=float))
+        told[kind] += _FACTOR[kind] * float(np.sum((weight**2 * (down**2 + across**2))[at.subject], dtype=float))
     whole = sum(told.values())
     return {kind: part / whole if whole else 0.0 for kind, part in told.items()}
 

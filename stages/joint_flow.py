@@ -172,12 +172,18 @@ def nudge(constant: Image, picture: Image, start: Image) -> Flows:
 
 
 def match(
-    levels: Sequence[Features], *, bending: float, warps: Sequence[int], bounds: tuple[float, float] | None = None
+    levels: Sequence[Features],
+    *,
+    factors: Sequence[float],
+    bending: float,
+    warps: Sequence[int],
+    bounds: tuple[float, float] | None = None,
 ) -> Flows:
     """The one flow between two pictures that several features of them share, from zero.
 
     Args:
         levels: from the full size down, each half as large as the one before.
+        factors: of each feature, beside the scale that its residuals are measured to have.
         bending: weight of the flow's second differences.
         warps: the Gauss-Newton steps per level from the coarsest, the last one for all finer levels.
         bounds: of that weight, when it is to follow from how much the flow bends.
@@ -192,7 +198,7 @@ def match(
         known = np.ascontiguousarray(np.broadcast_to(at.known, at.there.shape))
         return _Level(at.weight, np.zeros_like(at.weight[0]), at.here, both, known, _inner(at.subject))
 
-    terms = _alone(len(levels[0].here))
+    terms = _alone(len(factors))._replace(weight=np.asarray(factors, np.float64))
     found = _descended(
         level,
         levels[0].subject,
