@@ -239,3 +239,47 @@ def test_the_command(lightstage: Callable[..., Any], tmp_path: Path) -> None:
         ).code
         == 2
     )
+
+
+@pytest.mark.slow
+def test_blender_opens_all_formats(ball: Any, tmp_path: Path) -> None:
+    """Bounds, faces towards the camera, colour spaces, and tangents that its own MikkTSpace agrees with."""
+    bpy = pytest.importorskip("bpy", reason="Blender as a package (pip install bpy) is not installed")
+    _, depth, camera = ball
+    surface = surface_of(depth, camera)
+    frames = smooth_frames(depth, camera)
+    colour, bumps = np.full((64, 64, 3), 0.5), tangent_space(frames.normal, frames)
+    low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
+    load = {
+        "glb": lambda file: bpy.ops.import_scene.gltf(filepath=file),
+        "obj": lambda file: bpy.ops.wm.obj_import(filepath=file, forward_axis="NEGATIVE_Z", up_axis="Y"),
+        "ply": lambda file: bpy.ops.wm.ply_import(filepath=file, forward_axis="NEGATIVE_Z", up_axis="Y"),
+    }
+    for form, open_file in load.items():
+        (file, *_) = write_mesh(
+            tmp_path / f"ball.{form}", surface, base_colour=colour, normal_map=bumps, space="tangent"
+        )
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+        open_file(str(file))
+        (body,) = [thing for thing in bpy.data.objects if thing.type == "MESH"]
+        place = np.array(body.matrix_world)
+        points = np.array([v.co for v in body.data.vertices]) @ place[:3, :3].T + place[:3, 3]
+        # Blender's z is up: x, y, z there are x, -z, y here
+        scale = 0.001 if form == "glb" else 1.0
+        world = points @ np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0.0]]).T
+        np.testing.assert_allclose(world.min(axis=0), scale * low, atol=scale * 0.01, err_msg=form)
+        np.testing.assert_allclose(world.max(axis=0), scale * high, atol=scale * 0.01, err_msg=form)
+        turned = np.array([face.normal for face in body.data.polygons]) @ place[:3, :3].T
+        assert (turned[:, 1] < 0).mean() > 0.99, form
+        if form == "glb":
+            spaces = {i.colorspace_settings.name for i in bpy.data.images}
+            assert spaces == {"sRGB", "Non-Color"}
+            body.data.calc_tangents()
+            assert {loop.bitangent_sign for loop in body.data.loops} == {1.0}
+            theirs = (
+                np.array([loop.tangent for loop in body.data.loops])
+                @ np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0.0]]).T
+            )
+            ours = surface.tangents[[loop.vertex_index for loop in body.data.loops]]
+            # theirs is of triangles, ours of the blurred surface: they part where it bends within a pixel
+            assert np.median(np.degrees(np.arccos(np.clip(np.sum(theirs * ours, axis=1), -1, 1)))) < 1
