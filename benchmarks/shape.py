@@ -8,6 +8,7 @@ sphere's radius, or of the head's range of depths.
 import argparse
 import tempfile
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ import xarray
 from numpy.typing import NDArray
 
 from benchmarks.accuracy import DATA, DOCS, Bench
+from stages.integration import integrate
 from stages.pinhole import Pinhole
 from stages.shape import BELOW, RIGHT, breaks
 from store.document import load
@@ -39,46 +41,75 @@ ROWS = {
 _LIGHT = np.array([-0.45, 0.35, 0.82])
 
 
+@dataclass(frozen=True)
+class Subject:
+    """A capture with truth."""
+
+    session: str
+    depth_mm: Array
+    mask: Array
+    camera: Pinhole
+
+    @classmethod
+    def of(cls, bench: Bench, name: str) -> "Subject":
+        """From the shared data."""
+        folder = DATA / "rendered" / name
+        truth = np.load(folder / "truth" / "ground_truth_cam1.npz")
+        return cls(bench.take_in(folder), truth["depth_mm"].astype(float), truth["mask"], camera_of(folder))
+
+    def off(self, depth: Array) -> Array:
+        """Estimate less truth, mm, of the points that have both."""
+        return (depth - self.depth_mm)[np.isfinite(depth) & self.mask]
+
+
 def depths(bench: Bench) -> list[str]:
     """One row per way to a height map."""
-    subjects = {}
-    for name in ("static_sphere", "static_A"):
-        folder = DATA / "rendered" / name
-        subjects[name] = (bench.take_in(folder), np.load(folder / "truth" / "ground_truth_cam1.npz"))
+    ball, head = Subject.of(bench, "static_sphere"), Subject.of(bench, "static_A")
+    radius = float(np.median(np.linalg.norm(ball.camera.points(ball.depth_mm)[ball.mask], axis=1)))
+    whole = float(np.ptp(head.depth_mm[head.mask]))
     lines = [
         "| depth | sphere, of its radius | head, of its range | head, 95th percentile, mm | head, distance, mm | head, covered |",
         "|---|---|---|---|---|---|",
     ]
-    radius = radius_of(subjects["static_sphere"][1], camera_of(DATA / "rendered" / "static_sphere"))
-    for label, correct in ROWS.items():
-        found = {}
-        for name, (session, truth) in subjects.items():
-            words = ("--set", f"relief.correct={correct}", "--set", "relief.fuse=bands")
-            path = bench.call("run", "shape", "--session", session, *words)["nodes"]["shape"]["path"]
-            depth = xarray.open_zarr(path, chunks=None).depth_mm.values[0].astype(float)
-            known = np.isfinite(depth) & truth["mask"]
-            off = (depth - truth["depth_mm"])[known]
-            found[name] = (off, known.sum() / truth["mask"].sum())
-        ball, (off, covered) = found["static_sphere"][0], found["static_A"]
-        whole = np.ptp(subjects["static_A"][1]["depth_mm"][subjects["static_A"][1]["mask"]])
-        error = np.abs(off - off.mean())
+
+    def row(label: str, on_ball: Array, on_head: Array) -> None:
+        one, two = ball.off(on_ball), head.off(on_head)
+        error = np.abs(two - two.mean())
         lines.append(
-            f"| {label} | {np.abs(ball - ball.mean()).mean() / radius:.2%} | {error.mean() / whole:.2%} "
-            f"| {np.percentile(error, 95):.1f} | {np.median(off):+.1f} | {covered:.1%} |"
+            f"| {label} | {np.abs(one - one.mean()).mean() / radius:.2%} | {error.mean() / whole:.2%} "
+            f"| {np.percentile(error, 95):.1f} | {np.median(two):+.1f} | {two.size / head.mask.sum():.1%} |"
         )
+
+    for label, correct in ROWS.items():
+        found = []
+        for subject in (ball, head):
+            words = ("--set", f"relief.correct={correct}", "--set", "relief.fuse=bands")
+            made = bench.call("run", "shape", "--session", subject.session, *words)["nodes"]
+            found.append(xarray.open_zarr(made["shape"]["path"], chunks=None).depth_mm.values[0].astype(float))
+        row(label, *found)
+        if correct == "full":
+            for rounds in (1, 6, 12, 25):
+                again = [integrated_again(bench, subject, rounds) for subject in (ball, head)]
+                row(f"the normals of `full` integrated again, {rounds} round(s)", *again)
     return lines
+
+
+def integrated_again(bench: Bench, subject: Subject, rounds: int) -> Array:
+    """Depth from the normals in use, beginning from the depth that was found with them."""
+    path = bench.call("path", "relief", "--session", subject.session)["path"]
+    relief = xarray.open_zarr(path, chunks=None)
+    depth, normal = relief.depth_mm.values[0].astype(float), np.moveaxis(relief.normal.values[0, 0], 0, 2)
+    mask = np.isfinite(depth) & np.isfinite(normal).all(axis=2)
+    in_camera = np.nan_to_num(normal).astype(float) @ subject.camera.rotation.T
+    start = np.where(mask, np.log(np.where(mask, depth, 1.0)), np.nan)
+    log_depth = integrate(in_camera, mask, subject.camera.rays, start=start, rounds=rounds)
+    return np.asarray(np.exp(log_depth + np.nanmedian(start - log_depth)))
 
 
 def camera_of(folder: Path) -> Pinhole:
     """The camera of a capture folder."""
     item = load(folder / "calibration" / "camera.yaml", what="an item").value
     return Pinhole.of(item, (item["size_px"][1], item["size_px"][0]))
-
-
-def radius_of(truth: Any, camera: Pinhole) -> float:
-    """Of a sphere about the stage's centre: how far its points are from there, mm."""
-    points = camera.points(truth["depth_mm"].astype(float))[truth["mask"]]
-    return float(np.median(np.linalg.norm(points, axis=1)))
 
 
 def broken(bench: Bench) -> list[str]:
