@@ -1,6 +1,16 @@
-"""Every speed and accuracy figure in README and docs, runnable.
+"""Every speed and accuracy figure in README and docs, runnable as `python -m benchmarks.NAME`.
 
-python -m benchmarks.kernels     the per-pixel kernels against numpy, OpenCV and a copy of the same bytes
-python -m benchmarks.pipeline    whole runs: end to end, cached, memory, processes
-python -m benchmarks.accuracy    degrees against truth; writes docs/accuracy.md and its figures
+    kernels       the per-pixel kernels against numpy, OpenCV and a copy of the same bytes
+    pipeline      whole runs: end to end, cached, memory, processes
+    accuracy      degrees against truth; writes docs/accuracy.md and its figures
+    calibration   items against truth
+    near_light    normals with near lights, shadows and bounced light
+    alignment     engines on synthetic motion, and the bands of a capture
+    moving        rendered heads that move, with sequences side by side
+    reflectance   albedo against truth
+    skin          pigments against truth and measured skin
+    shape         height maps and meshes
+    relighting    a found surface under other lights
+
+Those from near_light on write their tables into docs/ (`pages.py`).
 """

@@ -91,6 +91,12 @@ def angle(a: Array, b: Array) -> Array:
     return np.degrees(2 * np.arctan2(np.linalg.norm(a - b, axis=0), np.linalg.norm(a + b, axis=0)))
 
 
+def partial_correlation(a: Array, b: Array, given: Array) -> float:
+    """Correlation of what a line through `given` leaves of a and of b."""
+    left = [values - np.polyval(np.polyfit(given, values, 1), given) for values in (a, b)]
+    return float(np.corrcoef(*left)[0, 1])
+
+
 def truth_of(folder: Path) -> tuple[Array, Array]:
     """Normals (xyz, y, x), normalised again after their half-precision storage, and the eroded mask."""
     stored = np.load(folder / "truth" / "ground_truth_cam1.npz")

@@ -29,6 +29,7 @@ from benchmarks import band_alignment
 from benchmarks.accuracy import DOCS, angle
 from benchmarks.moving_scenes import SIZES, Kind, Scene, scene
 from benchmarks.near_light import changed
+from benchmarks.pages import put
 from stages import picture_flow
 from stages.picture_flow import Method, alternating, direct, plain, rounds
 
@@ -301,15 +302,8 @@ def main() -> None:
         if name == "joint":
             engine(first)  # compiled once, before it is timed
     tables = {name: work() for name, work in works.items() if asked.only in (None, name)}
-    page = DOCS / "methods" / "alignment.md"
-    text = page.read_text(encoding="utf-8")
     for name, lines in tables.items():
-        opening, closing = f"<!-- {name} -->\n", f"<!-- end of {name} -->"
-        if opening not in text or closing not in text:
-            raise SystemExit(f"{page} lacks <!-- {name} --> or its end; put both where the table belongs")
-        head, _, rest = text.partition(opening)
-        text = head + opening + "\n" + "\n".join(lines) + "\n\n" + closing + rest.partition(closing)[2]
-    page.write_text(text, encoding="utf-8")
+        put(DOCS / "methods" / "alignment.md", name, lines)
     print(f"{time.perf_counter() - began:.0f} s in all")
 
 

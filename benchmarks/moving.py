@@ -20,6 +20,7 @@ import yaml
 from numpy.typing import NDArray
 
 from benchmarks.accuracy import DOCS, angle
+from benchmarks.pages import put
 from benchmarks.pipeline import ROOT, command, timed
 from stages import spherical_gradients
 from stages.flow_warp import warp
@@ -239,7 +240,6 @@ def main() -> None:
     names = ("heads", "between", "growth")
     parser.add_argument("--only", choices=names, help="measure and write this table alone")
     asked = parser.parse_args()
-    page = DOCS / "methods" / "alignment.md"
     with tempfile.TemporaryDirectory() as folder:
         work = Path(folder)
         bench = Bench(work / "store") if asked.only != "growth" else None
@@ -252,11 +252,7 @@ def main() -> None:
                 assert bench is not None
                 lines = heads(bench) if name == "heads" else between(bench)
             print("\n".join(lines), flush=True)
-            text = page.read_text(encoding="utf-8")
-            opening, closing = f"<!-- {name} -->\n", f"<!-- end of {name} -->"
-            head, _, rest = text.partition(opening)
-            text = head + opening + "\n" + "\n".join(lines) + "\n\n" + closing + rest.partition(closing)[2]
-            page.write_text(text, encoding="utf-8")
+            put(DOCS / "methods" / "alignment.md", name, lines)
 
 
 if __name__ == "__main__":

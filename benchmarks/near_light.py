@@ -23,6 +23,7 @@ import xarray
 from numpy.typing import NDArray
 
 from benchmarks.accuracy import DATA, DOCS, Bench, angle, truth_of
+from benchmarks.pages import put
 from stages import integration, interreflection, near_light, self_consistent, subject_mask, visibility
 from stages.integration import integrate
 from stages.near_light import Lights, Measured
@@ -288,8 +289,6 @@ def main() -> None:
     """Measure everything and write the page."""
     argparse.ArgumentParser(description=__doc__).parse_args()
     cv2.setNumThreads(1)
-    page = DOCS / "methods" / "near-light.md"
-    text = page.read_text(encoding="utf-8")
     with tempfile.TemporaryDirectory() as folder:
         bench = Bench(Path(folder) / "store")
         subjects = {
@@ -306,10 +305,7 @@ def main() -> None:
             "time": times(bench),
         }
     for name, lines in tables.items():
-        first, last = f"<!-- {name} -->\n", f"<!-- end of {name} -->"
-        head, _, rest = text.partition(first)
-        text = head + first + "\n" + "\n".join(lines) + "\n\n" + last + rest.partition(last)[2]
-    page.write_text(text, encoding="utf-8")
+        put(DOCS / "methods" / "near-light.md", name, lines)
 
 
 if __name__ == "__main__":

@@ -15,7 +15,8 @@ import numpy as np
 import xarray
 from numpy.typing import NDArray
 
-from benchmarks.accuracy import DATA, DOCS, Bench
+from benchmarks.accuracy import DATA, DOCS, Bench, partial_correlation
+from benchmarks.pages import put
 
 Array = NDArray[Any]
 ROWS = {
@@ -52,7 +53,9 @@ def albedos(bench: Bench) -> list[str]:
         rms = [np.sqrt(np.mean((found[b] - true[b])[judged] ** 2)) for b in range(len(found))]
         free = [_scale_free(found[b][judged], true[b][judged]) for b in range(len(found))]
         tied = [np.corrcoef(found[b][judged], shading[judged])[0, 1] for b in range(len(found))]
-        partly = [_partial(found[b][judged], shading[judged], true[b][judged]) for b in range(len(found))]
+        partly = [
+            partial_correlation(found[b][judged], shading[judged], true[b][judged]) for b in range(len(found))
+        ]
         lines.append(
             f"| {name} | {' '.join(f'{r:.3f}' for r in ratio)} | {np.mean(rms):.4f} | {np.mean(free):.4f} "
             f"| {np.mean(tied):+.3f} | {np.mean(partly):+.3f} |"
@@ -89,19 +92,6 @@ def _scale_free(found: Array, true: Array) -> float:
     return float(np.sqrt(np.mean((gain * found - true) ** 2)))
 
 
-def _partial(a: Array, b: Array, given: Array) -> float:
-    """Correlation of what a line through `given` leaves of a and of b."""
-    left = [values - np.polyval(np.polyfit(given, values, 1), given) for values in (a, b)]
-    return float(np.corrcoef(*left)[0, 1])
-
-
-def _put(name: str, lines: list[str]) -> None:
-    page = DOCS / "methods" / "reflectance.md"
-    opening, closing = f"<!-- {name} -->\n", f"<!-- end of {name} -->"
-    head, _, rest = page.read_text(encoding="utf-8").partition(opening)
-    page.write_text(f"{head}{opening}\n" + "\n".join(lines) + f"\n\n{closing}{rest.partition(closing)[2]}", "utf-8")
-
-
 def main() -> None:
     """Measure and write the tables."""
     works = {"albedos": albedos, "errors": errors}
@@ -116,7 +106,7 @@ def main() -> None:
             if only in (None, name):
                 lines = table(bench)
                 print("\n".join(lines))
-                _put(name, lines)
+                put(DOCS / "methods" / "reflectance.md", name, lines)
 
 
 if __name__ == "__main__":

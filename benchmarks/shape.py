@@ -20,6 +20,7 @@ import xarray
 from numpy.typing import NDArray
 
 from benchmarks.accuracy import DATA, DOCS, Bench
+from benchmarks.pages import put
 from stages.integration import integrate
 from stages.pinhole import Pinhole
 from stages.shape import BELOW, RIGHT, breaks
@@ -213,17 +214,12 @@ def draw(axis: Any, vertices: Array, faces: Array, turn_deg: float) -> None:
 def main() -> None:
     """Measure everything, write the page and its figure."""
     argparse.ArgumentParser(description=__doc__).parse_args()
-    page = DOCS / "methods" / "shape.md"
-    text = page.read_text(encoding="utf-8")
     with tempfile.TemporaryDirectory() as folder:
         bench = Bench(Path(folder) / "store")
         tables = {"depth": depths(bench), "breaks": broken(bench), "files": files(bench)}
         picture(bench, DOCS / "figures" / "shape_head.png")
     for name, lines in tables.items():
-        first, last = f"<!-- {name} -->\n", f"<!-- end of {name} -->"
-        head, _, rest = text.partition(first)
-        text = head + first + "\n" + "\n".join(lines) + "\n\n" + last + rest.partition(last)[2]
-    page.write_text(text, encoding="utf-8")
+        put(DOCS / "methods" / "shape.md", name, lines)
 
 
 if __name__ == "__main__":

@@ -15,7 +15,8 @@ import scipy.io
 import xarray
 from numpy.typing import NDArray
 
-from benchmarks.accuracy import DATA, DOCS, Bench
+from benchmarks.accuracy import DATA, DOCS, Bench, partial_correlation
+from benchmarks.pages import put
 from stages import absorption, skin_layers
 from stages.chromophores import ChromophoresParams, chromophores, predicted
 from store.document import load
@@ -55,8 +56,8 @@ def maps(bench: Bench) -> list[str]:
             low, middle, high = np.nanpercentile(share, [5, 50, 95])
             oxygen = f"{middle:.2f} ({low:.2f} to {high:.2f}), {np.isfinite(share).mean():.0%}"
         lines.append(
-            f"| {name} | {np.corrcoef(m, tm)[0, 1]:.3f} | {np.corrcoef(h, th)[0, 1]:.3f} | {_partial(m, th, tm):+.3f} "
-            f"| {_partial(h, tm, th):+.3f} | {np.polyfit(tm, m, 1)[0]:.2f} | {np.polyfit(th, h, 1)[0]:.2f} "
+            f"| {name} | {np.corrcoef(m, tm)[0, 1]:.3f} | {np.corrcoef(h, th)[0, 1]:.3f} | {partial_correlation(m, th, tm):+.3f} "
+            f"| {partial_correlation(h, tm, th):+.3f} | {np.polyfit(tm, m, 1)[0]:.2f} | {np.polyfit(th, h, 1)[0]:.2f} "
             f"| {made.attrs['median_residual']:.3f} | {made.attrs['condition_number']:.1f} | {oxygen} |"
         )
     return lines
@@ -162,19 +163,6 @@ def fitted(rho: Array, params: ChromophoresParams) -> tuple[float, Array]:
     return float(np.sqrt(np.mean((fit - rho) ** 2))), found[:, 0]
 
 
-def _partial(a: Array, b: Array, given: Array) -> float:
-    """Correlation of what a line through `given` leaves of a and of b."""
-    left = [values - np.polyval(np.polyfit(given, values, 1), given) for values in (a, b)]
-    return float(np.corrcoef(*left)[0, 1])
-
-
-def _put(name: str, lines: list[str]) -> None:
-    page = DOCS / "methods" / "skin.md"
-    opening, closing = f"<!-- {name} -->\n", f"<!-- end of {name} -->"
-    head, _, rest = page.read_text(encoding="utf-8").partition(opening)
-    page.write_text(f"{head}{opening}\n" + "\n".join(lines) + f"\n\n{closing}{rest.partition(closing)[2]}", "utf-8")
-
-
 def main() -> None:
     """Measure and write the tables."""
     works = {"maps": maps, "skins": skins, "knobs": knobs, "others": others}
@@ -189,7 +177,7 @@ def main() -> None:
             if only in (None, name):
                 lines = table(bench)
                 print("\n".join(lines))
-                _put(name, lines)
+                put(DOCS / "methods" / "skin.md", name, lines)
 
 
 if __name__ == "__main__":
