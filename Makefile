@@ -35,9 +35,8 @@ performance: $(VENV)/.user  ## the film of a moving subject: SESSION=name or fol
 skin: $(VENV)/.user  ## melanin and haemoglobin: SESSION=name or folder, or the virtual rig's demo
 	@$(RUN) skin $(if $(SESSION),"$(SESSION)")
 
-shape: $(VENV)/.user  ## a mesh with texture: SESSION=name; ends with the file's path
-	@$(RUN) run shape reflectance --session "$(SESSION)"
-	@$(RUN) export shape --session "$(SESSION)" --format glb --to "$(or $(TO),shapes)"
+shape: $(VENV)/.user  ## a mesh with texture: SESSION=name or folder, or the virtual rig's demo
+	@$(RUN) shape $(if $(SESSION),"$(SESSION)")
 
 test: $(VENV)/.developer  ## all tests
 	@$(BIN)/python -m pytest $(if $(TESTS),$(TESTS),-n 2)
@@ -61,6 +60,9 @@ docs: $(VENV)/.developer  ## the figures and tables in docs/ (needs ../shared/da
 	@$(BIN)/python -m benchmarks.accuracy
 	@$(BIN)/python -m benchmarks.near_light
 	@$(BIN)/python -m benchmarks.reflectance
+	@$(BIN)/python -m benchmarks.skin
+	@$(BIN)/python -m benchmarks.shape
+	@$(BIN)/python -m benchmarks.relighting
 	@$(BIN)/python -m benchmarks.alignment
 	@$(BIN)/python -m benchmarks.moving
 	@$(RUN) sequence count --upto 30 --plot docs/figures/sequence_count.png

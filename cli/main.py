@@ -21,7 +21,19 @@ from cli.show import Screen  # noqa: E402
 from store.errors import LightstageError, RequestError  # noqa: E402
 
 VERSION = "0.1.0"
-FAMILIES = ("run", "sessions", "calibrate", "look", "keep", "export", "demo", "sequence", "alignment", "skin")
+FAMILIES = (
+    "run",
+    "sessions",
+    "calibrate",
+    "look",
+    "keep",
+    "export",
+    "demo",
+    "sequence",
+    "alignment",
+    "skin",
+    "shape",
+)
 
 
 class _Parser(argparse.ArgumentParser):

@@ -241,6 +241,26 @@ def test_the_command(lightstage: Callable[..., Any], tmp_path: Path) -> None:
     )
 
 
+def test_one_command_from_the_capture_to_the_mesh(lightstage: Callable[..., Any], tmp_path: Path) -> None:
+    assert lightstage("demo", "--size", "96x72", "--bands", "576", "--session", "small").code == 0
+    done = lightstage("shape", "small", "--json", "--every", "2")
+    assert done.code == 0, done.err
+    (file,) = done.json["files"]
+    assert Path(file).parent.name == "small_shape"
+    scene = GLTF2().load(file)
+    assert scene.materials[0].pbrMetallicRoughness.baseColorTexture is not None
+    again = Path(file).read_bytes()
+    assert lightstage("shape", "small", "--every", "2").code == 0
+    assert Path(file).read_bytes() == again
+    for words, said in (
+        (("--every", "0"), "a step of 1 or more"),
+        (("--format", "ply", "--normal-map", "object"), "PLY has no textures"),
+    ):
+        refused = lightstage("shape", "small", "--to", tmp_path / "none", *words)
+        assert (refused.code, said in refused.err) == (2, True), refused.err
+    assert not (tmp_path / "none").exists()
+
+
 @pytest.mark.slow
 def test_blender_opens_all_formats(ball: Any, tmp_path: Path) -> None:
     """Bounds, faces towards the camera, colour spaces, and tangents that its own MikkTSpace agrees with."""

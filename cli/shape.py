@@ -1,0 +1,72 @@
+"""shape: from a capture to a mesh that other programs open."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from cli import mesh
+from cli.run import add_run_options, run_session, session_of
+from cli.show import Screen
+from store.errors import RequestError
+from store.root import Store
+
+NODES = ("shape", "reflectance")
+"""The surface, and what it is painted with."""
+
+
+def configure(commands: Any) -> None:
+    """Add the command of this file."""
+    shape = commands.add_parser("shape", help="a mesh with texture: import if need be, run, and write it")
+    shape.add_argument("session", nargs="?", metavar="SESSION|FOLDER", help="default: the virtual rig's demo")
+    shape.add_argument("--to", type=Path, metavar="DIR", help="default: pictures/<session>_shape of the store")
+    shape.add_argument("--format", choices=mesh.FORMATS, default="glb", help="default: %(default)s")
+    shape.add_argument(
+        "--every", type=int, default=1, metavar="N", help="vertices are every Nth pixel (default: 1)"
+    )
+    shape.add_argument(
+        "--normal-map", choices=mesh.SPACES, help="tangent (the default for glb) or object space (obj)"
+    )
+    add_run_options(shape)
+    shape.set_defaults(handler=handle_shape)
+
+
+def handle_shape(options: argparse.Namespace, screen: Screen) -> int:
+    """lightstage shape."""
+    from cli.demo import demo_session
+    from store.grid import open_dataset
+    from store.sessions import read_session
+
+    if options.every < 1:
+        raise RequestError(f"--every {options.every}: expected a step of 1 or more")
+    space = mesh.map_space(options.format, options.normal_map)
+    store = Store(options.store)
+    options.session = session_of(options.session, store, screen) if options.session else demo_session(store, screen)
+    session = read_session(options.session, store)
+    summary = run_session(options, store, screen, NODES)
+    path = summary["nodes"]["shape"]["path"]
+    if path is None:
+        raise RequestError(f"session '{session.name}': --frames leaves no tracking frame to make a mesh of")
+    dataset = open_dataset(Path(path))
+    camera = mesh.camera_of(dataset, "shape", session, store)
+    folder = options.to or store.root / "pictures" / f"{session.name}_shape"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RequestError(f"--to {folder}: no folder can be made there ({error.strerror})") from None
+    made = mesh.export_meshes(
+        dataset,
+        camera,
+        "shape",
+        session,
+        folder,
+        screen,
+        store,
+        form=options.format,
+        every=options.every,
+        space=space,
+    )
+    for file in made["files"]:
+        if file.endswith(options.format):
+            screen.say(f"mesh: {file}")
+    screen.document({**summary, **made})
+    return 0
