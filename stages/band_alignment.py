@@ -13,7 +13,8 @@ sign, so their pictures do not match. Three things do:
 Each gives features: its texture relative to the local mean, at two scales. One flow per band, smooth between the
 nodes of a block grid, makes them match those of the reference band (`joint_flow.match`). A feature counts by its
 noise, which is measured in the capture. With s^2 the variance of the noise in a feature at a place, e^2 the local
-power that the feature has beyond it, and m a misfit that is there without noise, the weight is
+power that the feature has beyond it (beyond 1.5 s^2, which chance may give), and m a misfit that is there without
+noise, the weight is
 
     w^2 = e^2 / ((e^2 + s^2) (s^2 + m^2)) ,
 
@@ -50,6 +51,8 @@ _PREFILTER_PX = 1.2
 """Noise pulls flows away from whole pixels, because interpolation smoothes it everywhere else."""
 _WINDOW_PX = 8.0
 """Of local powers."""
+_CHANCE = np.float32(1.5)
+"""What power noise alone may have in a window by chance, of its mean: only what is beyond counts as signal."""
 _FACTOR: Mapping[Kind, float] = {"specular": 1.0, "relief": 1.0, "gradient": 0.1}
 """k: edges of the diffuse component misfit by a pattern, not by noise, and a pattern does not average out."""
 _MISFIT: Mapping[Kind, float] = {"specular": 0.03, "relief": 0.005, "gradient": 0.3}
@@ -212,7 +215,7 @@ def _features(here: _Side, there: _Side, level: int) -> tuple[Features, list[Kin
             b, noise_b = _texture(kind, two[0], two[1], there.subject, sigma, level)
             noise = noise_a + noise_b
             power = _spread(np.where(here.subject, a * a + b * b, np.float32(0))) / inside
-            signal = np.maximum(power - noise, 0)
+            signal = np.maximum(power - _CHANCE * noise, 0)
             square = signal / ((power + np.float32(1e-12)) * (noise + _MISFIT[kind] ** 2))
             ours.append(a)
             theirs.append(b)
