@@ -16,6 +16,7 @@ that a stage calls; they count in its key.
     band_fusion.py           one picture from all bands, weighted by noise
     resampling.py            dark, flat, and one cubic resampling
     rig_normals.py           normals with a model of the rig's lights, put together from the next four
+    openness.py              how much light a point sees, by the length of its light's mean direction
     near_light.py            how a near-light rig shades a point, and the normal that this tells
     self_consistent.py       depth, shadows and bounced light, found together with the normals
     integration.py           depth from normals

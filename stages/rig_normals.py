@@ -7,12 +7,14 @@ and writes what comes out in the form of the stage's outputs.
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from dag.stage import Items, StageError
 from stages import near_light, self_consistent
 from stages.normal_filter import non_local_means
+from stages.openness import openness
 from stages.pinhole import Pinhole
 from stages.spherical_gradients import FILL, STEPS
 from stages.subject_mask import find_subject, lit
@@ -20,6 +22,10 @@ from stages.subject_mask import find_subject, lit
 RIG_MODELS = ("lights", "near", "near+shadows", "full")
 """The corrections that know this rig's lights; all but the first estimate depth."""
 VISIBILITY_STEPS = 255
+_EXCESS_PX, _POWER_PX = 0.8, 2.0
+"""Blur of the norm's excess, and of its power: its noise must not go into the albedo."""
+_BLURRED_NOISE = 0.3
+"""Variance that noise keeps in that blur; 0.13 if pixels were independent, but pictures were resampled."""
 
 
 class Rig(NamedTuple):
@@ -83,7 +89,7 @@ def _read_out(
     if found is not None:
         measured = found.without_bounces(measured, np.where(mask, irradiance, 1.0))
         one = near_light.fused(measured)
-        irradiance[mask] = near_light.invert(one.vector[0][mask], at, rig.lights, seen).direct
+        irradiance[mask] = _irradiance(one, mask, at, rig.lights, seen)
     norms = np.linalg.norm(measured.vector, axis=3) / (2 * np.maximum(measured.constant, 1e-30))
     wanted = near_light.fused(measured) if as_one else measured
     normals_, valids = [], []
@@ -119,6 +125,45 @@ def _read_out(
         share[:, mask] = np.floor(seen.T * VISIBILITY_STEPS + 0.5).astype(np.uint8)
         out["visibility"] = share
     return out
+
+
+def _irradiance(
+    one: near_light.Measured,
+    mask: NDArray[np.bool_],
+    at: NDArray[np.float64],
+    lights: near_light.Lights,
+    seen: NDArray[np.float32] | None,
+) -> NDArray[np.float64]:
+    """(point,): light that arrives directly, as the found surface has it, and as the measured norm corrects it."""
+    vector, weight = one.vector[0][mask], one.weight[0][mask]
+    response = near_light.invert(vector, at, lights, seen)
+    share = np.ones(len(at))
+    if seen is not None:
+        open_ = near_light.invert(response.vector, at, lights).direct
+        share = np.clip(response.direct / np.maximum(open_, 1e-12), 0, 1)
+    # noise lengthens a vector: by its two components across, squared
+    square = np.einsum("pi,pi->p", vector, vector) - 2 / np.maximum(weight, 1e-12)
+    excess, variance = np.zeros((2, *mask.shape))
+    excess[mask] = np.nan_to_num(np.sqrt(np.maximum(square, 0)) - response.norm)
+    variance[mask] = 1 / np.maximum(weight, 1e-12)
+    excess = _without_noise(excess, variance, mask)
+    return np.asarray(response.direct * openness(share, excess[mask]) / np.maximum(share, 1e-3))
+
+
+def _without_noise(
+    values: NDArray[np.float64], variance: NDArray[np.float64], mask: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """Values (y, x) blurred a little, and shrunk by the share of noise in their power around each pixel."""
+
+    def mean(picture: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
+        inside = cv2.GaussianBlur(mask.astype(np.float64), (0, 0), sigma)
+        blurred = cv2.GaussianBlur(np.where(mask, picture, 0), (0, 0), sigma)
+        return np.asarray(blurred / np.maximum(inside, 1e-6))
+
+    smooth = mean(values, _EXCESS_PX)
+    noise = _BLURRED_NOISE * mean(variance, _POWER_PX)
+    power = mean(smooth**2, _POWER_PX)
+    return smooth * np.maximum(1 - noise / np.maximum(power, 1e-12), 0)
 
 
 def surface_normals(points: NDArray[np.float64], mask: NDArray[np.bool_]) -> NDArray[np.float64]:

@@ -137,9 +137,18 @@ def light_places(count: int = 41, seed: int = 0) -> tuple[Array, Array]:
 
 
 def near_ball(
-    lights: Array, drive: Array, *, size: int = 96, radius_mm: float = 80.0, camera_mm: float = 890.0
+    lights: Array,
+    drive: Array,
+    *,
+    size: int = 96,
+    radius_mm: float = 80.0,
+    camera_mm: float = 890.0,
+    cone_deg: Array | None = None,
 ) -> tuple[dict[str, Array], Array, Array, dict[str, Any]]:
     """A white ball at the origin under near point lights, as a pinhole camera at (0, 0, camera_mm) sees it.
+
+    With `cone_deg` (y, x) a point sees the lights within that angle about its normal, as if the surface had pits
+    that are too fine to be seen.
 
     Returns:
         pictures by illumination (STATIC), 0 off the ball; normals (xyz, y, x); depth (camera z, mm, NaN off the
@@ -159,7 +168,10 @@ def near_ball(
     for place, ideal in zip(lights, drive, strict=True):
         way = place[:, None, None] - points
         distance = np.linalg.norm(way, axis=0)
-        shade = np.maximum(np.einsum("ayx,ayx->yx", normals, way) / distance, 0) * (LIGHT_MM / distance) ** 2
+        cosine = np.einsum("ayx,ayx->yx", normals, way) / distance
+        if cone_deg is not None:
+            cosine = np.where(cosine > np.cos(np.radians(cone_deg)), cosine, 0)
+        shade = np.maximum(cosine, 0) * (LIGHT_MM / distance) ** 2
         for name in STATIC:
             share = 1.0
             if name != "C":
