@@ -54,6 +54,10 @@ class NormalsParams(Params):
         description="nlm: non-local means with the measured noise; surface: those of the integrated depth (with a "
         "model that has one); both cost some of the finest detail",
     )
+    openness: Literal["measured", "modelled"] = Field(
+        "measured",
+        description="irradiance where depth is found: corrected by the measured norm, or as the surface has it",
+    )
     component: Literal["diffuse", "specular"] = Field("diffuse", description="which light the pictures show")
     fuse: Literal["none", "bands"] = Field("none", description="bands: one map from all bands, weighted by noise")
 
@@ -70,6 +74,7 @@ def normals(
     correct: str = "none",
     fuse: str = "none",
     filter: str = "none",
+    openness: str = "measured",
 ) -> Mapping[str, Any]:
     """Normals of one tracking frame.
 
@@ -85,6 +90,7 @@ def normals(
         correct: none, qp, or one of RIG_MODELS.
         fuse: with a rig model, whether all bands give one map (bands) or one each (none).
         filter: none, nlm or surface.
+        openness: with a rig model, measured or modelled.
 
     Returns:
         `normal` (xyz, y, x) int16 in steps of 1 / STEPS; `albedo` and `norm` (y, x) float32, NaN where not
@@ -95,7 +101,9 @@ def normals(
     bands = len(radiance) // (count + int(diffuse_constant))
     if rig is not None:
         by_band = [{name: radiance[b * count + i] for i, name in enumerate(names)} for b in range(bands)]
-        return rig_normals.solve(by_band, rig, model=correct, as_one=fuse == "bands", filtered=filter)
+        return rig_normals.solve(
+            by_band, rig, model=correct, as_one=fuse == "bands", filtered=filter, openness=openness
+        )
     groups = [[radiance[b * count + i] for i in range(count)] for b in range(bands)] if bands > 1 else None
     pictures: Sequence[NDArray[np.float32]] = fuse_bands(groups, names) if groups else _Head(radiance, count)
     if choice.method == "least_squares":

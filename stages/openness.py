@@ -31,7 +31,7 @@ _SHARE = 1 - _COS**2
 _LENGTH = 2 / 3 * (1 - _COS**3) / (1 - _COS**2)
 
 
-def openness(share: Array, excess: Array) -> Array:
+def share_of_light(share: Array, excess: Array) -> Array:
     """The share of its light that a point receives, corrected by the length of its mean direction.
 
     Args:

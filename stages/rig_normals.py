@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from dag.stage import Items, StageError
 from stages import near_light, self_consistent
 from stages.normal_filter import non_local_means
-from stages.openness import openness
+from stages.openness import share_of_light
 from stages.pinhole import Pinhole
 from stages.spherical_gradients import FILL, STEPS
 from stages.subject_mask import find_subject, lit
@@ -39,7 +39,13 @@ class Rig(NamedTuple):
 
 
 def solve(
-    bands: Sequence[Mapping[str, NDArray[np.float32]]], rig: Rig, *, model: str, as_one: bool, filtered: str
+    bands: Sequence[Mapping[str, NDArray[np.float32]]],
+    rig: Rig,
+    *,
+    model: str,
+    as_one: bool,
+    filtered: str,
+    openness: str = "measured",
 ) -> Mapping[str, Any]:
     """Normals of one tracking frame.
 
@@ -49,6 +55,7 @@ def solve(
         model: one of RIG_MODELS.
         as_one: all bands give one map.
         filtered: none, nlm or surface.
+        openness: of the irradiance, measured or modelled.
 
     Returns:
         the outputs of `normals` with a leading band; see there.
@@ -67,7 +74,7 @@ def solve(
     mask = lit(rig.mask, constant) if rig.mask is not None else find_subject(constant)
     found = self_consistent.solve(measured, mask, rig.camera, rig.lights, model=model)
     points = rig.camera.points(found.depth)
-    return _read_out(measured, found, points, rig, as_one=as_one, filtered=filtered)
+    return _read_out(measured, found, points, rig, as_one=as_one, filtered=filtered, openness=openness)
 
 
 def _read_out(
@@ -78,6 +85,7 @@ def _read_out(
     *,
     as_one: bool,
     filtered: str,
+    openness: str = "modelled",
 ) -> Mapping[str, Any]:
     """The kernel's outputs from what the rounds found; without it, lights are distant."""
     mask = measured.weight.sum(axis=0) > 0 if found is None else found.mask
@@ -89,7 +97,7 @@ def _read_out(
     if found is not None:
         measured = found.without_bounces(measured, np.where(mask, irradiance, 1.0))
         one = near_light.fused(measured)
-        irradiance[mask] = _irradiance(one, mask, at, rig.lights, seen)
+        irradiance[mask] = _irradiance(one, mask, at, rig.lights, seen, openness)
     norms = np.linalg.norm(measured.vector, axis=3) / (2 * np.maximum(measured.constant, 1e-30))
     wanted = near_light.fused(measured) if as_one else measured
     normals_, valids = [], []
@@ -133,10 +141,13 @@ def _irradiance(
     at: NDArray[np.float64],
     lights: near_light.Lights,
     seen: NDArray[np.float32] | None,
+    openness: str,
 ) -> NDArray[np.float64]:
-    """(point,): light that arrives directly, as the found surface has it, and as the measured norm corrects it."""
+    """(point,): light that arrives directly, as the found surface has it or, measured, as the norm corrects it."""
     vector, weight = one.vector[0][mask], one.weight[0][mask]
     response = near_light.invert(vector, at, lights, seen)
+    if openness == "modelled":
+        return response.direct
     share = np.ones(len(at))
     if seen is not None:
         open_ = near_light.invert(response.vector, at, lights).direct
@@ -147,7 +158,7 @@ def _irradiance(
     excess[mask] = np.nan_to_num(np.sqrt(np.maximum(square, 0)) - response.norm)
     variance[mask] = 1 / np.maximum(weight, 1e-12)
     excess = _without_noise(excess, variance, mask)
-    return np.asarray(response.direct * openness(share, excess[mask]) / np.maximum(share, 1e-3))
+    return np.asarray(response.direct * share_of_light(share, excess[mask]) / np.maximum(share, 1e-3))
 
 
 def _without_noise(

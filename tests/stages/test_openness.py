@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from stages import rig_normals
 from stages.near_light import Lights
-from stages.openness import openness
+from stages.openness import share_of_light
 from stages.pinhole import Pinhole
 from tests.scenes import light_places, near_ball
 
@@ -22,7 +22,7 @@ def test_a_cone_of_even_light_by_summing_it_up(cone_deg: float) -> None:
     whole = np.maximum(height, 0)
     length = (seen * height).sum() / seen.sum()  # across the axis all cancels
     open_length = (whole * height).sum() / whole.sum()
-    assert openness(np.ones(1), np.array([length - open_length]))[0] == pytest.approx(
+    assert share_of_light(np.ones(1), np.array([length - open_length]))[0] == pytest.approx(
         seen.sum() / whole.sum(), abs=1e-3
     )
 
@@ -30,11 +30,11 @@ def test_a_cone_of_even_light_by_summing_it_up(cone_deg: float) -> None:
 @given(st.floats(0.01, 1), st.floats(-0.5, 0.5))
 def test_no_excess_changes_nothing_and_a_share_stays_a_share(share: float, excess: float) -> None:
     at = np.array([share])
-    assert openness(at, np.zeros(1))[0] == pytest.approx(share, abs=1e-4)
-    found = openness(at, np.array([excess]))[0]
+    assert share_of_light(at, np.zeros(1))[0] == pytest.approx(share, abs=1e-4)
+    found = share_of_light(at, np.array([excess]))[0]
     assert 0 < found <= 1
     # more excess is a narrower cone
-    assert openness(at, np.array([excess + 0.01]))[0] <= found
+    assert share_of_light(at, np.array([excess + 0.01]))[0] <= found
 
 
 @pytest.fixture(scope="module")
