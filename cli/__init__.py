@@ -9,6 +9,10 @@
     export.py    export
     sheet.py     the contact sheet
     demo.py      demo: the virtual rig as a capture
+    material.py  material: maps and a mesh for renderers
+    relight.py   relight: the subject under other lights
+    pictures.py  EXR and PNG whose colour is said; environment maps
+    deliver.py   files for a folder of the user's
 
 Modules are imported when their command is used: a fully cached run must not pay for the others.
 """

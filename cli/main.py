@@ -33,6 +33,20 @@ FAMILIES = (
     "alignment",
     "skin",
     "shape",
+    *(
+        "run",
+        "sessions",
+        "calibrate",
+        "look",
+        "keep",
+        "export",
+        "demo",
+        "sequence",
+        "alignment",
+        "skin",
+        "material",
+    ),
+    "relight",
 )
 
 

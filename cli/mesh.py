@@ -333,7 +333,7 @@ def write_mesh(
 def _colour_picture(linear: "NDArray[np.float64]") -> "Picture":
     from stages.colour import encode_srgb
 
-    return _picture(encode_srgb(_filled(linear)))
+    return _picture(encode_srgb(filled(linear)))
 
 
 def _picture(unit: "NDArray[np.float64]") -> "Picture":
@@ -341,10 +341,10 @@ def _picture(unit: "NDArray[np.float64]") -> "Picture":
     import numpy as np
     from PIL import Image
 
-    return Image.fromarray(np.floor(255 * np.clip(_filled(unit), 0, 1) + 0.5).astype(np.uint8))
+    return Image.fromarray(np.floor(255 * np.clip(filled(unit), 0, 1) + 0.5).astype(np.uint8))
 
 
-def _filled(values: "NDArray[np.float64]") -> "NDArray[np.float64]":
+def filled(values: "NDArray[np.float64]") -> "NDArray[np.float64]":
     """(y, x, channel) with NaN filled from the nearest pixel; 0 where all is NaN."""
     import numpy as np
     from scipy.ndimage import distance_transform_edt

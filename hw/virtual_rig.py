@@ -163,6 +163,21 @@ def _write(shot: Shot, folder: Path) -> None:
     )
 
 
+def radiance(shot: Shot, illuminations: Sequence[str]) -> tuple[Array, Array]:
+    """What the cross camera's place sees of the head at rest, without polarisers, noise or quantisation.
+
+    Returns:
+        diffuse (illumination, band, y, x) and specular (illumination, y, x) radiance; 1 is a white surface that
+        faces one light at full power at the rig's radius.
+    """
+    rig, shape = Rig.made(shot), head.parts(shot.seed)
+    drive = np.stack([weights(name, rig.ideal) for name in illuminations])
+    y, x = np.mgrid[0 : shot.height, 0 : shot.width].astype(float)
+    view = _render(shape, head.coarse_field(shape), motion.REST, rig, shot, np.stack([x, y], axis=-1), drive)
+    albedo = np.stack([view.albedo(band) for band in shot.bands_nm])
+    return albedo * view.diffuse[:, None], view.specular
+
+
 def _exposure(brightest: Array) -> float:
     """Counts per radiance that bring the brightest parts of a picture to 85 % of the range."""
     return round(0.85 * (WHITE - OFFSET) / float(np.percentile(brightest, 99.97)), 6)
