@@ -1,7 +1,8 @@
 """A head relit under each of the rig's lights against its renderer's pictures; writes docs/methods/relighting.md.
 
 Runs the real command for the surface and its gloss, and the kernel under one light at a time. The albedo is the true
-mono one, because the one-light pictures are unfiltered and the capture is in six bands.
+mono one, because the one-light pictures are unfiltered and the capture is in six bands. The figure is of the virtual rig,
+made with the real command alone: `--figure` draws nothing else, and needs no other data.
 """
 
 import argparse
@@ -10,14 +11,21 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import matplotlib
 import numpy as np
+import OpenImageIO
 import xarray
 from numpy.typing import NDArray
 from skimage.metrics import structural_similarity
 
 from benchmarks.accuracy import DOCS, Bench
 from benchmarks.near_light import Subject
+from hw.virtual_rig import Shot, radiance
+from stages.colour import encode_srgb, linear_srgb_matrix
 from stages.relighting import Lamps, Surface, relight
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
 
 Array = NDArray[Any]
 AXIS_DEG = 75.0
@@ -124,10 +132,93 @@ def _row(label: str, diffuse: list[tuple[float, float]], both: list[tuple[float,
     return f"| {label} | {cells(diffuse)} | {'- | - | -' if both is None else cells(both)} |"
 
 
+SHOT = Shot()
+"""The virtual rig's demo."""
+WIDTHS_NM = (17, 17, 20, 16, 10, 15)
+SHOWN = ("L16", "L06", "L17")
+"""18, 46 and 54 degrees from the camera's axis."""
+
+
+def sky(rows: int = 64) -> Array:
+    """(y, x, rgb): a blue sky over brown ground, with a sun 3 degrees wide, up and to the right, behind the camera."""
+    latitude = np.pi * (0.5 - (np.arange(rows)[:, None] + 0.5) / rows)
+    longitude = np.pi * (1 - 2 * (np.arange(2 * rows)[None, :] + 0.5) / (2 * rows))
+    x, z = (np.cos(latitude) * f(longitude) for f in (np.sin, np.cos))
+    y = np.broadcast_to(np.sin(latitude), x.shape)
+    sun = np.array([0.6, 0.5, 0.62]) / np.linalg.norm([0.6, 0.5, 0.62])
+    towards = x * sun[0] + y * sun[1] + z * sun[2]
+    above = np.array([0.25, 0.45, 0.9]) * (1 - 0.6 * np.clip(y, 0, 1))[..., None]
+    made = np.where((y > 0)[..., None], above, np.array([0.18, 0.14, 0.1]))
+    return np.asarray(made + np.exp((towards - 1) / 0.004)[..., None] * np.array([60.0, 52.0, 40.0]))
+
+
+def figure(bench: Bench, folder: Path) -> None:
+    """The virtual rig's head under the sky, and under three lights beside what the rig renders."""
+    session = bench.call("demo")["session"]
+    values = sky().astype(np.float32)
+    target = OpenImageIO.ImageOutput.create("sky.hdr")
+    target.open(str(folder / "sky.hdr"), OpenImageIO.ImageSpec(values.shape[1], values.shape[0], 3, "float"))
+    target.write_image(values)
+    target.close()
+    words = ("relight", session, "--environment", folder / "sky.hdr")
+    bench.call(*words, *(word for led in SHOWN for word in ("--led", led)), "--to", folder / "ahead")
+    bench.call(*words, "--rotate", "180", "--to", folder / "behind")
+    panels, axes = plt.subplots(3, 4, figsize=(14, 8.6), layout="constrained")
+    axes[0, 0].imshow(encode_srgb(0.8 * values))
+    axes[0, 0].set_title("an environment map")
+    for axis, name, title in zip(
+        axes[1:, 0], ("ahead", "behind"), ("relit under it", "turned by 180 degrees"), strict=True
+    ):
+        picture, alpha = _picture(folder / name / "environment.exr")
+        axis.imshow(encode_srgb(_on_grey(1.2 * picture, alpha)))
+        axis.set_title(title)
+    diffuse, specular = radiance(SHOT, SHOWN)
+    matrix = linear_srgb_matrix(SHOT.bands_nm, WIDTHS_NM)
+    for column, led in enumerate(SHOWN):
+        picture, alpha = _picture(folder / "ahead" / f"{led}.exr")
+        true = np.moveaxis(np.tensordot(matrix, diffuse[column] + specular[column], 1), 0, 2)
+        inside = cv2.erode(alpha.astype(np.uint8), np.ones((3, 3))) > 0
+        green = picture[..., 1], true[..., 1]
+        psnr, ssim = compare(*green, inside)
+        shown = 0.6
+        axes[0, column + 1].imshow(encode_srgb(_on_grey(shown * picture, alpha)))
+        axes[0, column + 1].set_title(f"{led}, relit: PSNR {psnr:.1f} dB, SSIM {ssim:.3f}")
+        axes[1, column + 1].imshow(encode_srgb(_on_grey(shown * true, alpha)))
+        axes[1, column + 1].set_title("rendered by the rig")
+        top = 0.3
+        off = np.where(inside, green[0] - green[1], np.nan)
+        drawn = axes[2, column + 1].imshow(off, cmap="RdBu_r", vmin=-top, vmax=top)
+        axes[2, column + 1].set_title("relit - rendered, green")
+    panels.colorbar(drawn, ax=axes[2, 3], shrink=0.8)
+    for axis in axes.ravel():
+        axis.set_axis_off()
+    path = DOCS / "figures" / "relighting.png"
+    panels.savefig(path, dpi=80)
+    plt.close(panels)
+
+
+def _picture(file: Path) -> tuple[Array, Array]:
+    """(y, x, rgb) and (y, x) alpha of an EXR file."""
+    source = OpenImageIO.ImageInput.open(str(file))
+    pixels = source.read_image("float")[..., [list(source.spec().channelnames).index(c) for c in "RGBA"]]
+    source.close()
+    return pixels[..., :3], pixels[..., 3] == 1
+
+
+def _on_grey(picture: Array, alpha: Array) -> Array:
+    return np.where(alpha[..., None], picture, 0.01)
+
+
 def main() -> None:
-    """Measure, and write the page's table."""
-    argparse.ArgumentParser(description=__doc__).parse_args()
+    """Measure, and write the page's table and figure."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--figure", action="store_true", help="only the figure")
+    options = parser.parse_args()
     cv2.setNumThreads(1)
+    with tempfile.TemporaryDirectory() as folder:
+        figure(Bench(Path(folder) / "store"), Path(folder))
+    if options.figure:
+        return
     page = DOCS / "methods" / "relighting.md"
     text = page.read_text(encoding="utf-8")
     with tempfile.TemporaryDirectory() as folder:
