@@ -18,7 +18,7 @@ import xarray
 from numpy.typing import NDArray
 from skimage.metrics import structural_similarity
 
-from benchmarks.accuracy import DOCS, Bench
+from benchmarks.accuracy import DATA, DOCS, Bench, truth_of
 from benchmarks.near_light import Subject
 from hw.virtual_rig import Shot, radiance
 from stages.colour import encode_srgb, linear_srgb_matrix
@@ -124,6 +124,41 @@ def table(head: Head) -> list[str]:
     return lines
 
 
+CAPTURES = {"static_sphere": "sphere, 1 band", "static_cylinder": "cylinder, 1 band", "static_A": "head, 6 bands"}
+ROUGHNESS, AT_NORMAL_INCIDENCE = 0.25, (0.4 / 2.4) ** 2
+"""Of the renderer's coating."""
+
+
+def gloss_table(bench: Bench) -> list[str]:
+    """Roughness and intensity against truth, and their stated errors."""
+    lines = [
+        "| capture | roughness: median, 5 to 95 % | stated error (median) | rms error | over stated | specular: median, 5 to 95 % "
+        "| stated error (median) | rms error | over stated |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    for name, label in CAPTURES.items():
+        folder = DATA / "rendered" / name
+        path = bench.call("run", "gloss", "--session", bench.take_in(folder))["nodes"]["gloss"]["path"]
+        found = xarray.open_zarr(path, chunks=None).isel(tracking=0)
+        _, inner = truth_of(folder)
+        cells = [label]
+        for array, true, digits in (("roughness", ROUGHNESS, 3), ("specular", AT_NORMAL_INCIDENCE, 4)):
+            values, stated = (found[part].values[inner].astype(float) for part in (array, f"{array}_error"))
+            known = np.isfinite(values)
+            values, stated = values[known], stated[known]
+            off = values - true
+            low, high = np.percentile(values, [5, 95])
+            over = off / stated
+            cells += [
+                f"{np.median(values):.{digits}f}, {low:.{digits}f} to {high:.{digits}f}",
+                f"{np.median(stated):.{digits}f}",
+                f"{np.sqrt((off**2).mean()):.{digits}f}",
+                f"{np.sqrt((over**2).mean()):.2f}, {1.4826 * np.median(np.abs(over)):.2f}",
+            ]
+        lines.append("| " + " | ".join(cells) + " |")
+    return lines
+
+
 def _row(label: str, diffuse: list[tuple[float, float]], both: list[tuple[float, float]] | None) -> str:
     def cells(values: list[tuple[float, float]]) -> str:
         psnr, ssim = np.array(values).T
@@ -219,12 +254,17 @@ def main() -> None:
         figure(Bench(Path(folder) / "store"), Path(folder))
     if options.figure:
         return
-    page = DOCS / "methods" / "relighting.md"
-    text = page.read_text(encoding="utf-8")
     with tempfile.TemporaryDirectory() as folder:
-        lines = table(Head(Bench(Path(folder) / "store")))
-    first, last = "<!-- relighting -->\n", "<!-- end of relighting -->"
-    before, _, rest = text.partition(first)
+        bench = Bench(Path(folder) / "store")
+        _put("gloss", gloss_table(bench))
+        _put("relighting", table(Head(bench)))
+
+
+def _put(name: str, lines: list[str]) -> None:
+    """Lines between two marks of the page."""
+    page = DOCS / "methods" / "relighting.md"
+    first, last = f"<!-- {name} -->\n", f"<!-- end of {name} -->"
+    before, _, rest = page.read_text(encoding="utf-8").partition(first)
     page.write_text(
         before + first + "\n" + "\n".join(lines) + "\n\n" + last + rest.partition(last)[2], encoding="utf-8"
     )

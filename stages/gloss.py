@@ -12,7 +12,14 @@ by that noise.
 
 A pixel's norm is too noisy to tell a width. So a is found from wide neighbourhoods to narrow ones, and each
 narrower one moves ln a only as far as its predicted error allows (a Gaussian prior of `spread` for each halving).
-The standard errors in the result are those of the pictures' noise; that of darks and flats is not in them.
+The standard error of a is that of the pictures' noise. In that of w are also the errors of a, of the surface's
+normals (_TILT_DEG each way), and of where shadows end (the light seen as it varies over _EDGE_PX), to first order:
+
+    (dw/w)^2 = v_s / s^2 + (d ln s_a / d ln a)^2 (da/a)^2 + sum over tilts (ds_a/s_a)^2 + var(q) / q^2
+
+with q = s_a / s_open.
+
+Noise of darks and flats is in neither.
 
 With no surface, or no placed lights, the model is a whole sphere of light. Then a is some tens of per cent off on a
 rig of few lights, and the intensity is relative.
@@ -56,6 +63,12 @@ _DARK = 0.05
 _LEAST_SLOPE = 0.02
 """d norm / d ln a below which a norm tells no width."""
 _FACING = np.linspace(0.05, 1, 20)
+_TILT_DEG = 1.5
+"""One sigma of each component of the surface's normals, whose error is 1.5 to 3 degrees in the mean on rendered
+subjects (docs/methods/near-light.md)."""
+_EDGE_PX = 1.5
+_STEP = 0.05
+"""Of ln a, in a difference quotient."""
 _BRIGHT = 99.5
 """Percentile that is 1 when the intensity is relative."""
 
@@ -134,17 +147,22 @@ def gloss(
         model = _sphere(np.where(known, facing, 1), index)
         width = _widths(measured, model, known, spread)
         expected = _at(model.constant, width.value)
+        of_model = _relative(_at(model.constant, np.minimum(width.value * np.exp(_STEP), WIDTHS[-1])), expected)
+        of_model *= width.error / (width.value * _STEP)
     else:
         depth = np.asarray(depth_mm[0], np.float64)
         known &= np.isfinite(depth)
         seen = visibility[0] if len(visibility) else None
         factor = max(1, round(known.shape[1] / _COARSE_PX))
         width = _rig_widths(measured, turned, depth, seen, known, camera, lights, index, spread, factor)
-        expected = _expected(turned, depth, seen, known, width.value, camera, lights, index)
+        lit = Lit(turned, depth, seen, known, width.value)
+        expected = _expected(lit, camera, lights, index)
+        of_model = _model_error(lit, width, expected, camera, lights, index)
     usual = float(np.median(expected[known])) if known.any() else 1.0
     known &= expected > _DARK * usual
     scale = at_normal_incidence(index) / np.where(known, expected, np.nan)
-    strength, error = measured.constant * scale, np.sqrt(measured.variance_constant) * scale
+    strength = measured.constant * scale
+    error = np.hypot(np.sqrt(measured.variance_constant) * scale, strength * of_model)
     if not absolute:
         inside = strength[np.isfinite(strength)]
         bright = float(np.percentile(inside, _BRIGHT)) if inside.size else 1.0
@@ -223,7 +241,9 @@ def _widths(measured: Measured, model: Model, known: Mask, spread: float) -> Wid
     level = measured.constant**2 - measured.variance_constant
     noisy = 4 * np.maximum(square, 0) * measured.variance + 6 * measured.variance**2
     noisy_level = 4 * np.maximum(level, 0) * measured.variance_constant + 2 * measured.variance_constant**2
-    log_width, variance = np.zeros(known.shape), np.full(known.shape, np.inf)
+    log_width = np.zeros(known.shape)
+    weights: list[Array] = []
+    deviations: list[Array] = []
     for step, sigma in enumerate(_WINDOWS_PX):
         up, down = _mean(square, known, sigma), _mean(level, known, sigma)
         norm = 0.5 * np.sqrt(np.maximum(up, 0) / np.maximum(down, 1e-30))
@@ -241,13 +261,27 @@ def _widths(measured: Measured, model: Model, known: Mask, spread: float) -> Wid
         if step == 0:
             middle = float(np.median(here[known])) if known.any() else 0.0
             log_width = np.where(np.isfinite(here), here, middle)
-            variance = own
-            continue
-        prior = spread**2
-        gain = prior / (prior + own)
-        log_width = log_width + gain * (here - log_width)
-        variance = (1 - gain) ** 2 * variance + gain**2 * own
-    return Widths(np.exp(log_width), np.exp(log_width) * np.sqrt(variance))
+            gain = np.ones(known.shape)
+        else:
+            gain = spread**2 / (spread**2 + own)
+            log_width = log_width + gain * (here - log_width)
+        weights = [*(weight * (1 - gain) for weight in weights), gain]
+        deviations.append(np.sqrt(own))
+    return Widths(np.exp(log_width), np.exp(log_width) * np.sqrt(_summed(weights, deviations)))
+
+
+def _summed(weights: Sequence[Array], deviations: Sequence[Array]) -> Array:
+    """Variance of a weighted sum of what the neighbourhoods of _WINDOWS_PX tell.
+
+    A narrow neighbourhood lies within the wide ones, so their noise is correlated: two Gaussian windows of sigma s
+    and t, over white noise, with 2 s t / (s^2 + t^2).
+    """
+    parts = [weight * deviation for weight, deviation in zip(weights, deviations, strict=True)]
+    total = np.zeros(parts[0].shape)
+    for s, one in zip(_WINDOWS_PX, parts, strict=True):
+        for t, other in zip(_WINDOWS_PX, parts, strict=True):
+            total += 2 * s * t / (s**2 + t**2) * one * other
+    return total
 
 
 def _crossing(expected: Array, norm: Array) -> tuple[Array, Array]:
@@ -329,17 +363,50 @@ def _rig(
     return out
 
 
-def _expected(
-    normal: Array, depth: Array, seen: Image | None, known: Mask, width: Array,
-    camera: Pinhole, lights: Lights, index: float,
-) -> Array:  # fmt: skip
-    """(y, x): s for w = 1 at the width found."""
-    points, view = _placed(depth, known, camera)
-    each = shines(normal[known], points, view, width[known], lights.position, lights.distance, index)
+class Lit(NamedTuple):
+    """A surface under the rig, (y, x, ...)."""
+
+    normal: Array
+    depth: Array
+    seen: Image | None
+    """(light, y, x)."""
+    known: Mask
+    width: Array
+
+
+def _expected(lit: Lit, camera: Pinhole, lights: Lights, index: float) -> Array:
+    """(y, x): s for w = 1."""
+    points, view = _placed(lit.depth, lit.known, camera)
+    normal, width = lit.normal[lit.known], lit.width[lit.known]
+    each = shines(normal, points, view, width, lights.position, lights.distance, index)
     power = lights.power.astype(np.float32)
-    out = np.zeros(known.shape)
-    out[known] = (each * (power if seen is None else seen[:, known].T * power)).sum(axis=1, dtype=np.float64)
+    if lit.seen is not None:
+        power = lit.seen[:, lit.known].T * power
+    out = np.zeros(lit.known.shape)
+    out[lit.known] = (each * power).sum(axis=1, dtype=np.float64)
     return out
+
+
+def _model_error(lit: Lit, width: Widths, expected: Array, camera: Pinhole, lights: Lights, index: float) -> Array:
+    """(y, x): relative standard error of s by the width, the normals and where shadows end."""
+    wider = _expected(lit._replace(width=lit.width * np.exp(_STEP)), camera, lights, index)
+    square = (_relative(wider, expected) * width.error / (width.value * _STEP)) ** 2
+    sideways = np.cross(lit.normal, np.array([0.0, 1.0, 0.0]))
+    sideways /= np.maximum(np.linalg.norm(sideways, axis=2, keepdims=True), 1e-9)
+    for axis in (sideways, np.cross(lit.normal, sideways)):
+        tilted = lit.normal + np.radians(_TILT_DEG) * axis
+        tilted /= np.linalg.norm(tilted, axis=2, keepdims=True)
+        square += _relative(_expected(lit._replace(normal=tilted), camera, lights, index), expected) ** 2
+    if lit.seen is not None:
+        opened = _expected(lit._replace(seen=None), camera, lights, index)
+        share = expected / np.maximum(opened, 1e-30)
+        spread = _mean(share**2, lit.known, _EDGE_PX) - _mean(share, lit.known, _EDGE_PX) ** 2
+        square += np.maximum(spread, 0) / np.maximum(share, 1e-9) ** 2
+    return np.sqrt(square)
+
+
+def _relative(changed: Array, expected: Array) -> Array:
+    return np.asarray((changed - expected) / np.maximum(expected, 1e-30))
 
 
 def _placed(depth: Array, known: Mask, camera: Pinhole) -> tuple[Array, Array]:
@@ -467,11 +534,13 @@ STAGE = Stage(
             attrs={"units": "1", "long_name": "specular reflectance at normal incidence"},
         ),
         "specular_error": Output(
-            ("tracking", "y", "x"), "float32", attrs={"units": "1", "long_name": "of specular, by noise"}
+            ("tracking", "y", "x"), "float32", attrs={"units": "1", "long_name": "standard error of specular"}
         ),
         "roughness": Output(("tracking", "y", "x"), "float32", attrs={"units": "1", "long_name": "GGX alpha"}),
         "roughness_error": Output(
-            ("tracking", "y", "x"), "float32", attrs={"units": "1", "long_name": "of roughness, by noise"}
+            ("tracking", "y", "x"),
+            "float32",
+            attrs={"units": "1", "long_name": "standard error of roughness, by noise"},
         ),
     },
     blocks=("tracking",),
