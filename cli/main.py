@@ -33,19 +33,7 @@ FAMILIES = (
     "alignment",
     "skin",
     "shape",
-    *(
-        "run",
-        "sessions",
-        "calibrate",
-        "look",
-        "keep",
-        "export",
-        "demo",
-        "sequence",
-        "alignment",
-        "skin",
-        "material",
-    ),
+    "material",
     "relight",
 )
 
