@@ -10,6 +10,7 @@ import tempfile
 from pathlib import Path
 from typing import Any, Literal
 
+import colour
 import numpy as np
 import scipy.io
 import xarray
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from benchmarks.accuracy import DATA, DOCS, Bench, partial_correlation
 from benchmarks.pages import put
 from stages import absorption, skin_layers
+from stages import colour as of_bands
 from stages.chromophores import ChromophoresParams, chromophores, predicted
 from store.document import load
 
@@ -163,9 +165,43 @@ def fitted(rho: Array, params: ChromophoresParams) -> tuple[float, Array]:
     return float(np.sqrt(np.mean((fit - rho) ** 2))), found[:, 0]
 
 
+def colours(bench: Bench) -> list[str]:
+    """Colour made of the six bands, with the blood component and without, against that of the measured spectrum."""
+    entries = load(DATA / "rendered" / "static_A" / "calibration" / "bands.yaml", what="bands").value["bands"]
+    centres, widths = [e["centre_nm"] for e in entries], [e["width_nm"] for e in entries]
+    seen = of_bands.observed()
+    passing = np.stack([of_bands.pass_band(c, w) for c, w in zip(centres, widths, strict=True)])
+    lines = ["| spectra | smoothest alone: CIEDE2000, mean, most | with blood |", "|---|---|---|"]
+    for name, spectra in _spectra(of_bands.NM).items():
+        true = seen @ spectra
+        cells = []
+        for blood in (False, True):
+            found = seen @ of_bands.spectrum_matrix(centres, widths, blood=blood) @ (passing @ spectra)
+            white = colour.XYZ_to_xy(seen.sum(axis=1))
+            labs = [colour.XYZ_to_Lab(xyz.T, white) for xyz in (found, true)]
+            off = np.asarray(colour.delta_E(*labs, method="CIE 2000"))
+            cells.append(f"{off.mean():.2f}, {off.max():.2f}")
+        lines.append(f"| {name} ({spectra.shape[1]}) | {' | '.join(cells)} |")
+    return lines
+
+
+def _spectra(nm: Array) -> dict[str, Array]:
+    """Measured reflectance (nm, spectrum): skin by group, and a ColorChecker."""
+    folder = DATA / "real" / "skin_spectra"
+    out = {}
+    for name in SKINS:
+        stored = scipy.io.loadmat(folder / f"{name}_Vhrel.mat")
+        out[f"skin, {name}"] = np.stack(
+            [np.interp(nm, stored["wavelength"][0], s) for s in stored["data"].T], axis=1
+        )
+    chart = scipy.io.loadmat(folder / "macbethChart.mat")
+    at = chart["wavelength"][:, 0].astype(float)
+    return out | {"ColorChecker": np.stack([np.interp(nm, at, s) for s in chart["data"].T], axis=1)}
+
+
 def main() -> None:
     """Measure and write the tables."""
-    works = {"maps": maps, "skins": skins, "knobs": knobs, "others": others}
+    works = {"maps": maps, "skins": skins, "knobs": knobs, "others": others, "colours": colours}
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", choices=works, help="measure and write this table alone")
     only = parser.parse_args().only

@@ -5,7 +5,17 @@ import numpy as np
 import pytest
 
 from dag.stage import StageError
-from stages.colour import NM, decode_srgb, encode_srgb, linear_srgb_matrix, pass_band, spectrum_matrix, xyz_matrix
+from stages import absorption
+from stages.colour import (
+    NM,
+    decode_srgb,
+    encode_srgb,
+    linear_srgb_matrix,
+    observed,
+    pass_band,
+    spectrum_matrix,
+    xyz_matrix,
+)
 
 SIX = (407.0, 434.0, 445.0, 497.0, 576.0, 655.0)
 WIDTHS = (17.0, 17.0, 20.0, 16.0, 10.0, 15.0)
@@ -44,6 +54,35 @@ def test_a_smooth_spectrum_has_its_colour() -> None:
     white = colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]
     off = colour.delta_E(colour.XYZ_to_Lab(xyz, white), colour.XYZ_to_Lab(exact, white), method="CIE 2000")
     assert off < 1.5
+
+
+def _of(reflectance: np.ndarray, *, blood: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Lab of what the bands tell of a spectrum over NM, and of the spectrum itself, under D65."""
+    passing = np.stack([pass_band(c, w) for c, w in zip(SIX, WIDTHS, strict=True)])
+    found = spectrum_matrix(SIX, WIDTHS, blood=blood) @ (passing @ reflectance)
+    seen = observed()
+    white = colour.XYZ_to_xy(seen.sum(axis=1))
+    return colour.XYZ_to_Lab(seen @ found, white), colour.XYZ_to_Lab(seen @ reflectance, white)
+
+
+@pytest.mark.parametrize("blood", [0.2, 0.3, 0.6])
+def test_skin_is_as_red_as_its_blood_makes_it(blood: float) -> None:
+    """Between 497 and 655 nm the smoothest spectrum is a ramp, and that of blood is not: lips came out yellow."""
+    taken = np.interp(NM, absorption.NM, absorption.haemoglobin(0.75))
+    brown = np.interp(NM, absorption.NM, absorption.melanin())
+    skin = 0.83 * np.exp(-0.2 * brown - blood * taken / taken[NM == 576])
+    found, true = _of(skin, blood=True)
+    plain, _ = _of(skin, blood=False)
+    off, before = (float(colour.delta_E(lab, true, method="CIE 2000")) for lab in (found, plain))
+    # a unit is what one sees side by side; far from medium skin the linear component falls short
+    assert off < max(1.5, 0.6 * before)
+    assert off < before
+
+
+def test_pale_skin_is_not_made_red() -> None:
+    brown = np.interp(NM, absorption.NM, absorption.melanin())
+    found, true = _of(0.83 * np.exp(-0.2 * brown), blood=True)
+    assert float(colour.delta_E(found, true, method="CIE 2000")) < 1.5
 
 
 def test_codes_come_back() -> None:
