@@ -35,6 +35,7 @@ FAMILIES = (
     "shape",
     "material",
     "relight",
+    "stimuli",
 )
 
 

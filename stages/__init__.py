@@ -30,6 +30,8 @@ that a stage calls; they count in its key.
     skin_layers.py           what layered skin reflects, and whether a spectrum is like it
     microfacets.py           how a rough surface reflects, and what a rig's lights show of it
     relighting.py            a found surface under other lights
+    face_frame.py            faces brought to one place, under one oval, and between two faces
+    matching.py              equal mean, contrast, histogram and spectrum, in pictures as they are stored
     pinhole.py               the reference camera: rays, points, smaller pictures
 """
 

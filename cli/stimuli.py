@@ -1,0 +1,448 @@
+"""stimuli: a matched set of face pictures of several sessions, with tables for experiments."""
+
+import argparse
+import copy
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cli.run import add_run_options, pipeline_path, run_session, session_of
+from cli.show import Screen
+from store.errors import RequestError
+from store.root import Store
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from cli.face_points import Points
+
+KINDS = ("shape", "texture", "both")
+MATCHES = ("none", "mean-contrast", "histogram", "spectrum")
+NODE = "stimulus"
+_LUMINANCE = (0.2126, 0.7152, 0.0722)
+_AZIMUTHS, _ELEVATIONS = (-60, -40, -20, 0, 20, 40, 60), (45, 30, 15, 0, -15)
+_ROLL_DEG = 3.0
+_BLACK = 1e-3
+"""Luminance below which colour is noise."""
+
+
+def configure(commands: Any) -> None:
+    """Add the commands of this file."""
+    stimuli = commands.add_parser("stimuli", help="a matched set of shape, texture and combined face pictures")
+    stimuli.add_argument("sessions", nargs="+", metavar="SESSION", help="sessions or capture folders")
+    stimuli.add_argument(
+        "--to", type=Path, metavar="DIR", help="a new folder (default: stimuli/<recipe> of the store)"
+    )
+    stimuli.add_argument(
+        "--match",
+        default="mean-contrast",
+        metavar="HOW[,HOW]",
+        help=f"{', '.join(MATCHES)}; histogram,spectrum is possible (default: mean-contrast)",
+    )
+    stimuli.add_argument(
+        "--across", choices=("set", "kind"), default="set", help="equal over the whole set, or within each kind"
+    )
+    stimuli.add_argument("--kinds", default=",".join(KINDS), metavar="KIND,...", help="default: %(default)s")
+    stimuli.add_argument("--mean", type=float, metavar="L", help="mean luminance, 0 to 1 (default: the set's)")
+    stimuli.add_argument("--contrast", type=float, metavar="L", help="its standard deviation (default: the set's)")
+    stimuli.add_argument(
+        "--background", type=float, metavar="L", help="luminance around the oval (default: the mean)"
+    )
+    stimuli.add_argument("--grey", action="store_true", help="grey pictures (default: colour)")
+    stimuli.add_argument(
+        "--encoding",
+        choices=("srgb", "linear"),
+        default="srgb",
+        help="of the 8-bit pictures; linear needs a linear screen",
+    )
+    stimuli.add_argument(
+        "--points", type=Path, metavar="FILE", help="YAML: session: {left_eye: [x, y], right_eye: ...}"
+    )
+    stimuli.add_argument(
+        "--eyes-px", type=float, metavar="N", help="eye distance in the pictures (default: the set's mean)"
+    )
+    stimuli.add_argument(
+        "--distance-cm", type=float, default=57.0, metavar="CM", help="eye to screen (default: 57)"
+    )
+    stimuli.add_argument(
+        "--pixels-per-cm", type=float, default=37.8, metavar="N", help="of the screen (default: 37.8)"
+    )
+    stimuli.add_argument(
+        "--morph", nargs=2, metavar=("A", "B"), help="pictures between two of the sessions instead"
+    )
+    stimuli.add_argument("--levels", default="0,0.25,0.5,0.75,1", metavar="T,...", help="of a morph; 0 is A")
+    stimuli.add_argument("--vary", choices=("shape", "texture"), default="shape", help="what a morph changes")
+    stimuli.add_argument(
+        "--jspsych", type=Path, metavar="DIR", help="a folder with jsPsych, for a page without network"
+    )
+    stimuli.add_argument(
+        "--preview-lights", action="store_true", help="a sheet of shape under single lights instead"
+    )
+    add_run_options(stimuli)
+    stimuli.set_defaults(handler=handle_stimuli)
+
+
+@dataclass(frozen=True)
+class Subject:
+    """One session, brought to the frame."""
+
+    name: str
+    normal: "NDArray[np.float32]"
+    """(xyz, y, x)."""
+    images: "Mapping[str, NDArray[np.float32]]"
+    """(rgb, y, x) linear, by kind."""
+    points: "Points"
+    """In the frame."""
+    filled: float
+    """Part of the oval where nothing was measured."""
+    result: str
+    """Folder of the stimulus result: its recipe and manifest."""
+    attrs: Mapping[str, Any]
+    found_by: str
+
+
+def handle_stimuli(options: argparse.Namespace, screen: Screen) -> int:
+    """lightstage stimuli."""
+    _check(options)
+    store = Store(options.store)
+    names = [session_of(given, store, screen) for given in options.sessions]
+    if len(set(names)) < len(names):
+        raise RequestError("a session is named twice; a set holds each once")
+    opened = {name: _computed(name, options, store, screen) for name in names}
+    if options.preview_lights:
+        return _preview(opened, options, store, screen)
+    points = _points(opened, options, screen)
+    subjects, frame = _framed(opened, points, options, screen)
+    if options.morph:
+        subjects = _morphed(subjects, options)
+    return _written(subjects, frame, options, store, screen)
+
+
+def _check(options: argparse.Namespace) -> None:
+    from store.document import nearest
+
+    for what, given, known in (("--match", options.match, MATCHES), ("--kinds", options.kinds, KINDS)):
+        for word in given.split(","):
+            if word not in known:
+                raise RequestError(f"{what} {given}: '{word}' is not known{nearest(word, known)}")
+    if "none" in options.match.split(",") and options.match != "none":
+        raise RequestError(f"--match {options.match}: none stands alone")
+    ranges = (
+        ("--mean", options.mean, 0, 1),
+        ("--contrast", options.contrast, 0, 0.5),
+        ("--background", options.background, 0, 1),
+        ("--eyes-px", options.eyes_px, 16, 2000),
+        ("--distance-cm", options.distance_cm, 1, 10000),
+        ("--pixels-per-cm", options.pixels_per_cm, 1, 10000),
+    )
+    for name, value, least, most in ranges:
+        if value is not None and not least < value <= most:  # also for NaN
+            raise RequestError(f"{name} {value:g}: expected a number above {least:g} and up to {most:g}")
+    if options.match == "none" and (options.mean is not None or options.contrast is not None):
+        raise RequestError("--mean and --contrast are met by matching; leave --match none out")
+    _levels(options.levels)
+
+
+def _levels(text: str) -> list[float]:
+    try:
+        levels = [float(word) for word in text.split(",")]
+    except ValueError:
+        levels = [float("nan")]
+    if not all(0 <= level <= 1 for level in levels) or len(set(levels)) < len(levels):
+        raise RequestError(f"--levels {text}: expected different numbers from 0 to 1, such as 0,0.5,1")
+    return levels
+
+
+def _computed(name: str, options: argparse.Namespace, store: Store, screen: Screen) -> tuple[Any, Any, str]:
+    """The stimulus result and the normals that it was made from, opened, and the result's folder."""
+    from dag.graph import load_graph
+    from stages import TABLE
+    from store.grid import open_dataset
+
+    graph = load_graph(pipeline_path(options.pipeline), TABLE, overrides=options.overrides)
+    node = graph.nodes.get(NODE)
+    if node is None:
+        raise RequestError(f"{pipeline_path(options.pipeline)} has no node '{NODE}', which stimuli are made from")
+    one = copy.copy(options)
+    one.session = name
+    screen.say(f"{name}:")
+    done = run_session(one, store, screen, (NODE,))["nodes"]
+    paths = [done[n]["path"] for n in (NODE, node.above[0])]
+    if None in paths:
+        raise RequestError(f"session '{name}': --frames leaves nothing to make stimuli of")
+    return open_dataset(Path(paths[0])), open_dataset(Path(paths[1])), Path(paths[0]).name
+
+
+def _points(
+    opened: Mapping[str, tuple[Any, Any, str]], options: argparse.Namespace, screen: Screen
+) -> "dict[str, tuple[Points, str]]":
+    """Points in each picture, and how they were found."""
+    from cli.face_points import find_points, read_points
+
+    given = read_points(options.points, list(opened)) if options.points else {}
+    found: dict[str, tuple[Points, str]] = {}
+    for name, (_, relief, _) in opened.items():
+        if name in given:
+            found[name] = given[name], "given"
+            continue
+        points, fit = find_points(relief.normal.values[0, 0], name)
+        found[name] = points, "mean head"
+        left, right = (points[eye] for eye in ("left_eye", "right_eye"))
+        screen.warn(
+            f"{name}: eyes at ({left[0]:.1f}, {left[1]:.1f}) and ({right[0]:.1f}, {right[1]:.1f}), found by laying "
+            f"a mean head over the normals (fit {fit:.2f}); --points FILE gives them by hand"
+        )
+    return found
+
+
+def _framed(
+    opened: Mapping[str, tuple[Any, Any, str]],
+    points: "Mapping[str, tuple[Points, str]]",
+    options: argparse.Namespace,
+    screen: Screen,
+) -> tuple[list[Subject], Any]:
+    """Every session in one frame."""
+    import math
+
+    import numpy as np
+
+    from cli.face_points import EYES
+    from stages.face_frame import Frame, bring, similarity, turned
+
+    eyes = {name: np.stack([found[eye] for eye in EYES]) for name, (found, _) in points.items()}
+    apart = [float(np.linalg.norm(pair[1] - pair[0])) for pair in eyes.values()]
+    frame = Frame(float(options.eyes_px or round(float(np.mean(apart)))))
+    oval = frame.oval() > 0
+    subjects = []
+    for name, (pictures, relief, folder) in opened.items():
+        if pictures.sizes["tracking"] > 1:
+            screen.warn(f"{name}: a performance; its first tracking frame is used")
+        matrix = similarity(eyes[name], frame)
+        roll = math.degrees(math.atan2(matrix[1, 0], matrix[0, 0]))
+        if abs(roll) > _ROLL_DEG:
+            screen.warn(
+                f"{name}: the head leans by {roll:.1f} degrees; the light turns with it when it is set upright"
+            )
+        images, there = {}, None
+        for k, kind in enumerate(str(kind) for kind in pictures.kind.values):
+            images[kind], there = bring(pictures.image.values[0, k], matrix, frame.shape)
+        assert there is not None
+        filled = float(np.mean(~there[oval]))
+        if filled > 0:
+            screen.warn(f"{name}: {100 * filled:.2f} % of the oval was not measured, and is filled from beside it")
+        normal, _ = bring(relief.normal.values[0, 0].astype(np.float32), matrix, frame.shape)
+        normal /= np.maximum(np.linalg.norm(normal, axis=0), 1e-6)
+        back = np.linalg.inv(np.concatenate([matrix, [[0, 0, 1]]]))
+        own = {key: back[:2, :2] @ at + back[:2, 2] for key, at in points[name][0].items()}
+        attrs = {k: v for k, v in pictures.attrs.items() if isinstance(v, str | int | float)}
+        subjects.append(Subject(name, turned(normal, matrix), images, own, filled, folder, attrs, points[name][1]))
+    return subjects, frame
+
+
+def _morphed(subjects: Sequence[Subject], options: argparse.Namespace) -> list[Subject]:
+    """Pictures between two subjects: one property goes from A to B, the other stays A's."""
+    import numpy as np
+
+    from stages.face_frame import bend, between, mixed_normals
+    from stages.shading import parse_lights, shade
+
+    by_name = {subject.name: subject for subject in subjects}
+    lacking = [name for name in options.morph if name not in by_name]
+    if lacking:
+        raise RequestError(f"--morph: '{lacking[0]}' is not among the sessions named ({', '.join(by_name)})")
+    a, b = (by_name[name] for name in options.morph)
+    if a.attrs["cast_shadows"] or b.attrs["cast_shadows"]:
+        raise RequestError("--morph: between two faces there is no depth; leave stimulus.cast_shadows out")
+    if a.images["texture"].shape != b.images["texture"].shape:
+        raise RequestError("--morph: one session is in colour and one is not; set stimulus.colour=grey for both")
+    names = sorted(set(a.points) & set(b.points))
+    own = [np.stack([one.points[name] for name in names]) for one in (a, b)]
+    lights = parse_lights(str(a.attrs["lights"]))
+    made = []
+    for level in _levels(options.levels):
+        to = between(own, level if options.vary == "shape" else 0.0)
+        normals = [bend(one.normal, at, to) for one, at in zip((a, b), own, strict=True)]
+        textures = [bend(one.images["texture"], at, to) for one, at in zip((a, b), own, strict=True)]
+        if options.vary == "shape":
+            normal, texture = mixed_normals(normals[0], normals[1], level), textures[0]
+        else:
+            mixed = (1 - level) * textures[0] + level * textures[1]
+            normal, texture = mixed_normals(normals[0], normals[0], 0.0), mixed.astype(np.float32)
+        shape = np.broadcast_to(shade(normal, lights), texture.shape)
+        images = {"shape": shape, "texture": texture, "both": shape * texture}
+        name = f"{a.name}-{b.name}-{options.vary}-{round(100 * level):03d}"
+        filled = max(a.filled, b.filled)
+        made.append(Subject(name, normal, images, {}, filled, f"{a.result}+{b.result}", a.attrs, a.found_by))
+    return made
+
+
+def _setting(
+    pictures: "Sequence[NDArray[Any]]", frame: Any, options: argparse.Namespace
+) -> tuple[Any, "list[NDArray[Any]]", "list[NDArray[Any]]"]:
+    """What `matching` needs: the setting, luminance (y, x), and colour as a multiple of it (y, x, rgb)."""
+    import numpy as np
+
+    from stages.colour import decode_srgb, encode_srgb
+    from stages.matching import TOP, Encoding, Setting, grey_setting
+
+    oval = frame.oval().astype(np.float64)
+    linear = options.encoding == "linear"
+    encoding = Encoding(np.asarray, np.asarray) if linear else Encoding(encode_srgb, decode_srgb)
+    background = float("nan") if options.background is None else options.background
+    weights = np.array(_LUMINANCE)
+    luminance, tint = [], []
+    for picture in pictures:
+        rgb = np.moveaxis(np.broadcast_to(picture, (3, *picture.shape[1:])), 0, 2).astype(np.float64)
+        rgb = np.maximum(rgb, 0)  # cubic interpolation swings below black
+        y = rgb @ weights
+        luminance.append(y)
+        # grey where it is black, and fading to grey towards the background
+        tint.append(1 + oval[..., None] * ((rgb + _BLACK) / (y + _BLACK)[..., None] - 1))
+    if options.grey or all(picture.shape[0] == 1 for picture in pictures):
+        return grey_setting(oval, background, encoding), luminance, []
+    return (
+        Setting(
+            oval,
+            background,
+            encoding,
+            lambda i, y: np.floor(encoding.code(tint[i] * y[..., None]) + 0.5).astype(np.uint8),
+            lambda codes: np.asarray(encoding.decode(codes / TOP) @ weights),
+            lambda i, y: tint[i] * y[..., None],
+        ),
+        luminance,
+        tint,
+    )
+
+
+def _written(
+    subjects: Sequence[Subject], frame: Any, options: argparse.Namespace, store: Store, screen: Screen
+) -> int:
+    """Match, write, and say what came out."""
+    import numpy as np
+
+    from cli import stimulus_files as files
+    from dag.stage import StageError
+    from stages.matching import furthest, match
+    from store.digest import SHORT, digest_value
+
+    kinds = options.kinds.split(",")
+    entries = [(subject, kind) for kind in kinds for subject in subjects]
+    methods = [] if options.match == "none" else options.match.split(",")
+    groups = [entries] if options.across == "set" else [[e for e in entries if e[1] == kind] for kind in kinds]
+    recipe = _recipe(subjects, frame, options)
+    recipe["digest"] = digest_value(recipe)[:SHORT]
+    shown = files.Screen(options.distance_cm, options.pixels_per_cm)
+    rows, data, apart = [], {}, []
+    for group in groups:
+        setting, luminance, tint = _setting([one.images[kind] for one, kind in group], frame, options)
+        try:
+            matched = match(luminance, setting, methods, mean=options.mean, contrast=options.contrast)
+        except StageError as error:
+            raise RequestError(str(error)) from None
+        apart.append(furthest(matched))
+        for i, ((subject, kind), one) in enumerate(zip(group, matched, strict=True)):
+            name = f"{subject.name}_{kind}.png"
+            data[name] = files.png(setting.store(i, one.luminance), srgb=options.encoding == "srgb")
+            fine = tint[i] * one.luminance[..., None] if tint else one.luminance
+            counts = np.floor(np.clip(fine, 0, 1) * 65535 + 0.5).astype(np.uint16)
+            data[f"16bit/{name}"] = files.png(counts, srgb=False)
+            height, width = frame.shape
+            rows.append(
+                {
+                    "subject": subject.name, "kind": kind, "file": name, "file_16bit": f"16bit/{name}",
+                    "lights": "" if kind == "texture" else subject.attrs["lights"],
+                    "mean": one.figures.mean_code, "contrast": one.figures.contrast_code, "rms": one.figures.rms,
+                    "mean_linear": one.figures.mean_linear, "contrast_linear": one.figures.contrast_linear,
+                    "clipped": one.clipped, "filled": subject.filled,
+                    "width_px": width, "height_px": height,
+                    "width_deg": shown.degrees(width), "height_deg": shown.degrees(height),
+                    "distance_cm": shown.distance_cm, "pixels_per_cm": shown.pixels_per_cm,
+                    "encoding": options.encoding, "digest": files.sha256(data[name]), "recipe": recipe["digest"],
+                }
+            )  # fmt: skip
+    clipped = [f"{row['file']} ({100 * row['clipped']:.2f} %)" for row in rows if row["clipped"] > 0]
+    if clipped:
+        screen.warn(
+            f"clipped to black or white, of the oval: {', '.join(clipped)}; a smaller --contrast or another --mean "
+            "avoids it"
+        )
+    folder = options.to or store.root / "stimuli" / str(recipe["digest"])
+    new = files.write_set(folder.absolute(), rows, data, recipe, jspsych=options.jspsych)
+    for off, what in zip(apart, kinds if options.across == "kind" else ["the set"], strict=True):
+        screen.say(
+            f"{what}: furthest from the mean: mean {off['mean_linear']:.2f}, contrast {off['contrast_linear']:.2f} "
+            f"of luminance, {off['mean_code']:.2f} and {off['contrast_code']:.2f} of code values (grey levels); "
+            f"spectrum {100 * off['spectrum']:.1f} %"
+        )
+    screen.say(f"{len(rows)} stimuli of {len(subjects)} subjects {'are' if new else 'were already'} in {folder}")
+    screen.document({"folder": str(folder), "stimuli": rows, "furthest": apart, "recipe": recipe["digest"]})
+    return 0
+
+
+def _recipe(subjects: Sequence[Subject], frame: Any, options: argparse.Namespace) -> dict[str, Any]:
+    """Everything that decides the pictures."""
+    same = (
+        "match", "across", "kinds", "mean", "contrast", "background", "grey", "encoding", "morph", "levels", "vary",
+        "distance_cm", "pixels_per_cm",
+    )  # fmt: skip
+    return {
+        "format": "lightstage-stimuli/1",
+        "options": {name: getattr(options, name) for name in same},
+        "eyes_px": frame.eyes_px,
+        "subjects": [
+            {
+                "name": one.name,
+                "result": one.result,
+                "eyes": one.found_by,
+                "points": {key: [round(float(v), 3) for v in at] for key, at in sorted(one.points.items())},
+                "stimulus": dict(one.attrs),
+            }
+            for one in subjects
+        ],
+    }
+
+
+def _preview(
+    opened: Mapping[str, tuple[Any, Any, str]], options: argparse.Namespace, store: Store, screen: Screen
+) -> int:
+    """Shape under one light at a time, over azimuth and elevation."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+    import numpy as np
+
+    from stages.colour import encode_srgb
+    from stages.shading import DistantLight, shade
+
+    if options.to is not None and options.to.exists() and not options.to.is_dir():
+        raise RequestError(f"--to {options.to}: is a file; name a folder")
+    folder = options.to or store.root / "pictures"
+    folder.mkdir(parents=True, exist_ok=True)
+    written = []
+    for name, (_, relief, _) in opened.items():
+        normal = relief.normal.values[0, 0].astype(np.float32)
+        rows, columns = np.nonzero(np.isfinite(normal[0]))
+        normal = normal[:, rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
+        size = (1.5 * len(_AZIMUTHS), 1.5 * len(_ELEVATIONS) * normal.shape[1] / normal.shape[2] + 0.8)
+        figure, axes = plt.subplots(len(_ELEVATIONS), len(_AZIMUTHS), figsize=size, layout="constrained")
+        for row, elevation in zip(axes, _ELEVATIONS, strict=True):
+            for axis, azimuth in zip(row, _AZIMUTHS, strict=True):
+                picture = encode_srgb(shade(normal, (DistantLight(azimuth, elevation, 1.0),)))
+                axis.imshow(picture, cmap="gray", vmin=0, vmax=1)
+                axis.set_title(f"{azimuth},{elevation},1", fontsize=8)
+                axis.set_axis_off()
+        figure.suptitle(
+            f"{name}: one light at azimuth,elevation,strength; --set stimulus.lights='...' takes several"
+        )
+        path = folder / f"{name}-lights.png"
+        try:
+            figure.savefig(path, dpi=110)
+        finally:
+            plt.close(figure)
+        screen.say(f"picture: {path}")
+        written.append(str(path))
+    screen.document({"pictures": written})
+    return 0

@@ -1,0 +1,260 @@
+"""lightstage stimuli: what is in the folder, read back by programs of others; and what is refused."""
+
+import csv
+import hashlib
+import json
+import shutil
+import struct
+import subprocess
+import zlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+
+from cli.main import main
+from cli.stimulus_files import COLUMNS, png
+from tests.conftest import Answer
+
+Lightstage = Callable[..., Answer]
+SUBJECTS = ("one", "two")
+
+
+@pytest.fixture(scope="module")
+def heads(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A store with two small heads of the virtual rig, their stimuli computed."""
+    store = tmp_path_factory.mktemp("heads") / "store"
+    for seed, name in enumerate(SUBJECTS, start=1):
+        words = ["demo", "--session", name, "--seed", str(seed), "--size", "204x156", "--bands", "434,576,655"]
+        assert main(["--store", str(store), *words]) == 0
+    return store
+
+
+@pytest.fixture
+def made(heads: Path, lightstage: Lightstage, tmp_path: Path) -> Callable[..., tuple[Answer, Path]]:
+    """The command on those heads, and the folder it was to write."""
+
+    def call(*words: str) -> tuple[Answer, Path]:
+        folder = tmp_path / "set"
+        return lightstage("stimuli", *SUBJECTS, "--to", folder, *words, "--json", store=heads), folder
+
+    return call
+
+
+def linear(codes: Any) -> Any:
+    """Luminance 0..255 of an sRGB picture (IEC 61966-2-1, written out here)."""
+    c = codes.astype(float) / 255
+    light = np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
+    return 255 * (light @ [0.2126, 0.7152, 0.0722] if light.ndim == 3 else light)
+
+
+def chunks(data: bytes) -> Iterator[tuple[bytes, bytes]]:
+    """Name and content of each chunk of a PNG, its check sum checked."""
+    at = 8
+    while at < len(data):
+        (size,) = struct.unpack(">I", data[at : at + 4])
+        name, body = data[at + 4 : at + 8], data[at + 8 : at + 8 + size]
+        assert struct.unpack(">I", data[at + 8 + size : at + 12 + size])[0] == zlib.crc32(name + body)
+        yield name, body
+        at += 12 + size
+
+
+def read(folder: Path) -> list[dict[str, str]]:
+    with (folder / "stimuli.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_the_table_says_what_the_pictures_hold(made: Any) -> None:
+    done, folder = made()
+    assert done.code == 0, done.err
+    rows = read(folder)
+    assert tuple(rows[0]) == COLUMNS
+    assert {(row["subject"], row["kind"]) for row in rows} == {
+        (s, k) for s in SUBJECTS for k in ("shape", "texture", "both")
+    }
+    whole = []
+    for row in rows:
+        file = folder / row["file"]
+        assert hashlib.sha256(file.read_bytes()).hexdigest() == row["digest"]
+        picture = np.asarray(Image.open(file))
+        assert picture.shape == (int(row["height_px"]), int(row["width_px"]), 3)
+        whole.append(linear(picture))
+        # 57 cm away a centimetre is one degree, nearly
+        assert float(row["width_deg"]) == pytest.approx(int(row["width_px"]) / 37.8, rel=0.01)
+        assert float(row["rms"]) == pytest.approx(
+            float(row["contrast_linear"]) / float(row["mean_linear"]), rel=1e-3
+        )
+    # the oval is part of the picture, so what is equal over it is equal over the whole
+    assert np.ptp([p.mean() for p in whole]) < 0.5
+    assert np.ptp([p.std() for p in whole]) < 0.5
+    assert json.loads((folder / "recipe.json").read_text())["digest"] == rows[0]["recipe"]
+
+
+def test_pictures_say_their_colour(made: Any) -> None:
+    """Read by Pillow and chunk by chunk; 16 bits hold the same picture, linear."""
+    done, folder = made()
+    assert done.code == 0, done.err
+    for row in read(folder):
+        with Image.open(folder / row["file"]) as opened:
+            info, coarse = opened.info, np.asarray(opened)
+        assert info["srgb"] == 0
+        assert info["gamma"] == pytest.approx(1 / 2.2, abs=1e-5)
+        fine = (folder / row["file_16bit"]).read_bytes()
+        said = dict(chunks(fine))
+        assert said[b"gAMA"] == struct.pack(">I", 100000)
+        assert b"sRGB" not in said
+        assert said[b"IHDR"][8] == 16
+        deep = cv2.imread(str(folder / row["file_16bit"]), cv2.IMREAD_UNCHANGED)[..., ::-1]
+        assert deep.dtype == np.uint16
+        # a code value of sRGB is up to 2.3 grey levels of linear light wide, at white; rounding is half of it
+        np.testing.assert_allclose(linear(coarse), deep / 257 @ [0.2126, 0.7152, 0.0722], atol=1.15)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("shape", [(5, 7), (5, 7, 3)])
+def test_a_png_keeps_its_numbers(dtype: Any, shape: tuple[int, ...], tmp_path: Path) -> None:
+    values = np.random.default_rng(1).integers(0, np.iinfo(dtype).max, shape).astype(dtype)
+    path = tmp_path / "a.png"
+    path.write_bytes(png(values, srgb=True))
+    back = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    np.testing.assert_array_equal(back[..., ::-1] if back.ndim == 3 else back, values)
+    names = [name for name, _ in chunks(path.read_bytes())]
+    assert names[0] == b"IHDR"
+    assert names.index(b"sRGB") < names.index(b"gAMA") < names.index(b"IDAT")
+
+
+def test_conditions_for_experiments(made: Any) -> None:
+    done, folder = made("--grey", "--match", "histogram")
+    assert done.code == 0, done.err
+    with (folder / "conditions.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert all(name.isidentifier() for name in rows[0])
+    assert all((folder / row["file"]).is_file() for row in rows)
+    script = (folder / "stimuli.js").read_text()
+    told = json.loads(script.removeprefix("const stimuli = ").rstrip().removesuffix(";"))
+    assert [{k: str(v) for k, v in one.items()} for one in told] == rows
+    first, *others = (np.asarray(Image.open(folder / row["file"])) for row in rows)
+    assert first.ndim == 2
+    for other in others:
+        np.testing.assert_array_equal(np.bincount(other.ravel()), np.bincount(first.ravel()))
+
+
+def test_psychopy_reads_the_conditions(made: Any) -> None:
+    data = pytest.importorskip("psychopy.data", reason="PsychoPy is not installed")
+    done, folder = made()
+    assert done.code == 0, done.err
+    rows, names = data.importConditions(str(folder / "conditions.csv"), returnFieldNames=True)
+    assert len(rows) == 6
+    assert names[:3] == ["subject", "kind", "file"]
+
+
+def test_the_page_loads_in_a_browser(made: Any, tmp_path: Path) -> None:
+    """Without jsPsych it shows every picture; with a local copy (LIGHTSTAGE_JSPSYCH) it runs to its end."""
+    import os
+
+    browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if browser is None:
+        pytest.skip("no Chromium is installed")
+    local = os.environ.get("LIGHTSTAGE_JSPSYCH")
+    done, folder = made(*(["--jspsych", local] if local else []))
+    assert done.code == 0, done.err
+    page = f"{(folder / 'experiment.html').as_uri()}?simulate"
+    command = [browser, "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path / 'browser'}"]
+    command += ["--allow-file-access-from-files", "--host-resolver-rules=MAP * ~NOTFOUND"]
+    command += ["--virtual-time-budget=60000", "--dump-dom", page]
+    shown = subprocess.run(command, capture_output=True, text=True, timeout=120).stdout
+    for row in read(folder):
+        assert row["file"] in shown.partition("</script>\n")[2].rpartition("</script>")[2]
+    assert ("jspsych-data-display" in shown) == bool(local)
+
+
+def test_a_morph_varies_one_and_keeps_the_other(made: Any) -> None:
+    words = ("--morph", *SUBJECTS, "--levels", "0,0.5,1", "--match", "none", "--grey", "--encoding", "linear")
+    done, folder = made(*words, "--vary", "texture")
+    assert done.code == 0, done.err
+
+    def picture(level: int, kind: str) -> Any:
+        name = f"16bit/one-two-texture-{level:03d}_{kind}.png"
+        return cv2.imread(str(folder / name), cv2.IMREAD_UNCHANGED).astype(float)
+
+    np.testing.assert_array_equal(picture(0, "shape"), picture(100, "shape"))
+    half = (picture(0, "texture") + picture(100, "texture")) / 2
+    # without match textures mix linearly; a face alone, because the background is the mean of its own set
+    inner = np.s_[half.shape[0] // 3 : half.shape[0] // 2, half.shape[1] // 3 : half.shape[1] // 2]
+    np.testing.assert_allclose(picture(50, "texture")[inner], half[inner], atol=2)
+    assert np.abs(picture(0, "texture") - picture(100, "texture"))[inner].max() > 500
+
+
+def test_the_same_set_is_not_written_twice_and_nothing_is_overwritten(made: Any) -> None:
+    first, folder = made("--kinds", "shape")
+    assert first.code == 0, first.err
+    stamp = (folder / "stimuli.csv").stat().st_mtime_ns
+    again, _ = made("--kinds", "shape")
+    assert again.code == 0
+    assert (folder / "stimuli.csv").stat().st_mtime_ns == stamp
+    other, _ = made("--kinds", "shape", "--grey")
+    assert other.code == 2
+    assert "something is there already" in other.err
+    assert not list(folder.parent.glob(".set.part*"))
+
+
+def test_points_by_hand_decide_the_frame(made: Any, tmp_path: Path) -> None:
+    points = tmp_path / "points.yaml"
+    points.write_text(
+        "one: {left_eye: [84, 68], right_eye: [119, 68]}\ntwo: {left_eye: [83, 68], right_eye: [120, 69]}\n"
+    )
+    done, folder = made("--points", str(points), "--kinds", "shape")
+    assert done.code == 0, done.err
+    assert "mean head" not in done.err
+    recipe = json.loads((folder / "recipe.json").read_text())
+    assert recipe["eyes_px"] == 36
+    assert {one["eyes"] for one in recipe["subjects"]} == {"given"}
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("one: {left_eye: [1, 2]}", "needs left_eye and right_eye"),
+        ("one: {left_eye: [90, 2], right_eye: [10, 2]}", "at the left of the picture"),
+        ("one: {left_eye: [a, 2], right_eye: [10, 2]}", "expected [x, y] in pixels"),
+        ("- one", "expected sessions"),
+    ],
+)
+def test_wrong_points_are_named(made: Any, tmp_path: Path, text: str, says: str) -> None:
+    points = tmp_path / "points.yaml"
+    points.write_text(text + "\n")
+    done, folder = made("--points", str(points))
+    assert done.code == 2
+    assert says in done.err
+    assert not folder.exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("--match", "mode"), "'mode' is not known"),
+        (("--match", "none,histogram"), "none stands alone"),
+        (("--kinds", "shapes"), "did you mean 'shape'"),
+        (("--mean", "3"), "expected a number above 0"),
+        (("--levels", "0,2"), "different numbers from 0 to 1"),
+        (("--morph", "one", "three"), "'three' is not among the sessions"),
+        (("--jspsych", "/nowhere"), "jspsych.css is not there"),
+        (("--set", "stimulus.lights=0,0"), "expected azimuth,elevation,strength"),
+    ],
+)
+def test_wrong_requests_are_named(made: Any, words: tuple[str, ...], says: str) -> None:
+    done, folder = made(*words)
+    assert done.code == 2, done.err
+    assert says in done.err
+    assert not folder.exists()
+
+
+def test_a_sheet_of_lights(heads: Path, lightstage: Lightstage, tmp_path: Path) -> None:
+    done = lightstage("stimuli", "one", "--preview-lights", "--to", tmp_path / "sheet", "--json", store=heads)
+    assert done.code == 0, done.err
+    (file,) = done.json["pictures"]
+    assert np.asarray(Image.open(file)).std() > 20
