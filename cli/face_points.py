@@ -1,5 +1,10 @@
-"""Where the eyes of a session are: given by hand, or found by laying a mean head over the normals."""
+"""Where the eyes of a session are: given by hand, or carried there from the virtual rig's mean head.
 
+The mean head is laid over the normals as a whole, and the flow from it to the face carries its eyes to theirs. Eyes
+are where eyeballs bulge; whether lids are open does not matter.
+"""
+
+import math
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
@@ -38,15 +43,15 @@ def read_points(path: Path, sessions: Sequence[str]) -> dict[str, Points]:
             f"{path}: expected sessions with their points, such as `s1: {{left_eye: [120, 90], ...}}`"
         )
     found: dict[str, Points] = {}
+    by_name = {str(name): given for name, given in plain.items()}
     for name in sessions:
-        if name not in plain:
+        if name not in by_name:
             continue
-        given = plain[name]
+        given = by_name[name]
         if not isinstance(given, Mapping) or any(eye not in given for eye in EYES):
             raise RequestError(f"{path}: '{name}' needs left_eye and right_eye, each [x, y] in pixels")
         for key, value in given.items():
-            numbers = isinstance(value, list | tuple) and len(value) == 2
-            if not numbers or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in value):
+            if not isinstance(value, Sequence) or len(value) != 2 or not all(_is_number(v) for v in value):
                 raise RequestError(f"{path}: '{name}', {key}: expected [x, y] in pixels, found {value!r}")
         points = {str(key): np.array(value, float) for key, value in given.items()}
         if points["left_eye"][0] >= points["right_eye"][0]:
@@ -55,6 +60,10 @@ def read_points(path: Path, sessions: Sequence[str]) -> dict[str, Points]:
             )
         found[name] = points
     return found
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def find_points(normal: "NDArray[np.float32]", session: str) -> tuple[Points, float]:
@@ -66,15 +75,32 @@ def find_points(normal: "NDArray[np.float32]", session: str) -> tuple[Points, fl
     import numpy as np
 
     from dag.stage import StageError
-    from stages.face_frame import find_face
+    from stages.face_flow import face_flow, landed
+    from stages.face_frame import bring, filled, find_face
+    from stages.flow_warp import unit
 
     template, eyes = mean_face()
     try:
         matrix, fit = find_face(normal, template)
     except StageError as error:
         raise RequestError(f"session '{session}': {error}; give the eyes by hand with --points FILE") from None
-    at = np.concatenate([eyes, np.ones((2, 1))], axis=1) @ matrix.T
+    oval = np.isfinite(template[0]).astype(np.float32)
+    face, _ = bring(normal, matrix, oval.shape)
+    flow = face_flow(filled(template), filled(unit(face)), oval, float(np.linalg.norm(eyes[1] - eyes[0])))
+    at = landed(eyes, flow) @ matrix[:, :2].T + matrix[:, 2]
     return dict(zip(EYES, at, strict=True)), fit
+
+
+def as_yaml(points: Mapping[str, Points]) -> str:
+    """The text that `read_points` reads."""
+    import yaml
+
+    plain = {
+        session: {name: [round(float(v), 2) for v in at] for name, at in named.items()}
+        for session, named in points.items()
+    }
+    note = "# pixels of each session's pictures; change them, and give the file with --points\n"
+    return note + yaml.safe_dump(plain, sort_keys=False, default_flow_style=None)
 
 
 @cache

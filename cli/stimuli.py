@@ -2,6 +2,7 @@
 
 import argparse
 import copy
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from cli.run import add_run_options, pipeline_path, run_session, session_of
 from cli.show import Screen
-from store.errors import RequestError
+from store.errors import RequestError, WorkError
 from store.root import Store
 
 if TYPE_CHECKING:
@@ -24,6 +25,8 @@ NODE = "stimulus"
 _LUMINANCE = (0.2126, 0.7152, 0.0722)
 _AZIMUTHS, _ELEVATIONS = (-60, -40, -20, 0, 20, 40, 60), (45, 30, 15, 0, -15)
 _ROLL_DEG = 3.0
+_WORTH_SAYING = 0.001
+"""Part of the oval that may be filled without a word; the table has every part."""
 _BLACK = 1e-3
 """Luminance below which colour is noise."""
 
@@ -33,7 +36,7 @@ def configure(commands: Any) -> None:
     stimuli = commands.add_parser("stimuli", help="a matched set of shape, texture and combined face pictures")
     stimuli.add_argument("sessions", nargs="+", metavar="SESSION", help="sessions or capture folders")
     stimuli.add_argument(
-        "--to", type=Path, metavar="DIR", help="a new folder (default: stimuli/<recipe> of the store)"
+        "--to", type=Path, metavar="DIR", help="a new folder (default: stimuli/<recipe>-<manifest> of the store)"
     )
     stimuli.add_argument(
         "--match",
@@ -93,14 +96,23 @@ class Subject:
     """(xyz, y, x)."""
     images: "Mapping[str, NDArray[np.float32]]"
     """(rgb, y, x) linear, by kind."""
-    points: "Points"
-    """In the frame."""
     filled: float
     """Part of the oval where nothing was measured."""
+    attrs: Mapping[str, Any]
+    """Of the stimulus result."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where a subject comes from, and what brought it to the frame."""
+
     result: str
     """Folder of the stimulus result: its recipe and manifest."""
-    attrs: Mapping[str, Any]
     found_by: str
+    points: "Points"
+    """In the session's pictures."""
+    framed: "Points"
+    """In the frame."""
 
 
 def handle_stimuli(options: argparse.Namespace, screen: Screen) -> int:
@@ -114,10 +126,10 @@ def handle_stimuli(options: argparse.Namespace, screen: Screen) -> int:
     if options.preview_lights:
         return _preview(opened, options, store, screen)
     points = _points(opened, options, screen)
-    subjects, frame = _framed(opened, points, options, screen)
+    subjects, sources, frame = _framed(opened, points, options, screen)
     if options.morph:
-        subjects = _morphed(subjects, options)
-    return _written(subjects, frame, options, store, screen)
+        subjects = _morphed(subjects, sources, frame, options)
+    return _written(subjects, sources, frame, options, store, screen)
 
 
 def _check(options: argparse.Namespace) -> None:
@@ -185,14 +197,21 @@ def _points(
     found: dict[str, tuple[Points, str]] = {}
     for name, (_, relief, _) in opened.items():
         if name in given:
+            height, width = relief.sizes["y"], relief.sizes["x"]
+            for point, (x, y) in given[name].items():
+                if not (0 <= x <= width - 1 and 0 <= y <= height - 1):
+                    raise RequestError(
+                        f"{options.points}: '{name}', {point}: ({x:g}, {y:g}) is outside the picture of "
+                        f"{width} x {height} pixels"
+                    )
             found[name] = given[name], "given"
             continue
         points, fit = find_points(relief.normal.values[0, 0], name)
         found[name] = points, "mean head"
         left, right = (points[eye] for eye in ("left_eye", "right_eye"))
         screen.warn(
-            f"{name}: eyes at ({left[0]:.1f}, {left[1]:.1f}) and ({right[0]:.1f}, {right[1]:.1f}), found by laying "
-            f"a mean head over the normals (fit {fit:.2f}); --points FILE gives them by hand"
+            f"{name}: eyes at ({left[0]:.1f}, {left[1]:.1f}) and ({right[0]:.1f}, {right[1]:.1f}), found with a "
+            f"mean head laid over the normals (fit {fit:.2f}); --points FILE gives them by hand"
         )
     return found
 
@@ -202,7 +221,7 @@ def _framed(
     points: "Mapping[str, tuple[Points, str]]",
     options: argparse.Namespace,
     screen: Screen,
-) -> tuple[list[Subject], Any]:
+) -> tuple[list[Subject], dict[str, Source], Any]:
     """Every session in one frame."""
     import math
 
@@ -210,12 +229,13 @@ def _framed(
 
     from cli.face_points import EYES
     from stages.face_frame import Frame, bring, similarity, turned
+    from stages.flow_warp import unit
 
     eyes = {name: np.stack([found[eye] for eye in EYES]) for name, (found, _) in points.items()}
     apart = [float(np.linalg.norm(pair[1] - pair[0])) for pair in eyes.values()]
     frame = Frame(float(options.eyes_px or round(float(np.mean(apart)))))
     oval = frame.oval() > 0
-    subjects = []
+    subjects, sources = [], {}
     for name, (pictures, relief, folder) in opened.items():
         if pictures.sizes["tracking"] > 1:
             screen.warn(f"{name}: a performance; its first tracking frame is used")
@@ -230,22 +250,28 @@ def _framed(
             images[kind], there = bring(pictures.image.values[0, k], matrix, frame.shape)
         assert there is not None
         filled = float(np.mean(~there[oval]))
-        if filled > 0:
-            screen.warn(f"{name}: {100 * filled:.2f} % of the oval was not measured, and is filled from beside it")
-        normal, _ = bring(relief.normal.values[0, 0].astype(np.float32), matrix, frame.shape)
-        normal /= np.maximum(np.linalg.norm(normal, axis=0), 1e-6)
+        if filled > _WORTH_SAYING:
+            screen.warn(f"{name}: {100 * filled:.1f} % of the oval was not measured, and is filled from beside it")
+        known = np.isfinite(pictures.image.values[0]).all(axis=(0, 1))
+        # what the pictures fill is filled in the normals, so that a morph starts at the picture itself
+        normal = np.where(known, relief.normal.values[0, 0].astype(np.float32), np.float32(np.nan))
+        normal = unit(bring(normal, matrix, frame.shape)[0])
         back = np.linalg.inv(np.concatenate([matrix, [[0, 0, 1]]]))
-        own = {key: back[:2, :2] @ at + back[:2, 2] for key, at in points[name][0].items()}
+        own, found_by = points[name]
+        framed = {key: back[:2, :2] @ at + back[:2, 2] for key, at in own.items()}
+        sources[name] = Source(folder, found_by, own, framed)
         attrs = {k: v for k, v in pictures.attrs.items() if isinstance(v, str | int | float)}
-        subjects.append(Subject(name, turned(normal, matrix), images, own, filled, folder, attrs, points[name][1]))
-    return subjects, frame
+        subjects.append(Subject(name, turned(normal, matrix), images, filled, attrs))
+    return subjects, sources, frame
 
 
-def _morphed(subjects: Sequence[Subject], options: argparse.Namespace) -> list[Subject]:
+def _morphed(
+    subjects: Sequence[Subject], sources: Mapping[str, Source], frame: Any, options: argparse.Namespace
+) -> list[Subject]:
     """Pictures between two subjects: one property goes from A to B, the other stays A's."""
     import numpy as np
 
-    from stages.face_frame import bend, between, mixed_normals
+    from stages.face_flow import between, mixed_normals, pulled
     from stages.shading import parse_lights, shade
 
     by_name = {subject.name: subject for subject in subjects}
@@ -253,29 +279,47 @@ def _morphed(subjects: Sequence[Subject], options: argparse.Namespace) -> list[S
     if lacking:
         raise RequestError(f"--morph: '{lacking[0]}' is not among the sessions named ({', '.join(by_name)})")
     a, b = (by_name[name] for name in options.morph)
+    if a is b:
+        raise RequestError(f"--morph: '{a.name}' is named twice; between a face and itself there is nothing")
     if a.attrs["cast_shadows"] or b.attrs["cast_shadows"]:
         raise RequestError("--morph: between two faces there is no depth; leave stimulus.cast_shadows out")
     if a.images["texture"].shape != b.images["texture"].shape:
         raise RequestError("--morph: one session is in colour and one is not; set stimulus.colour=grey for both")
-    names = sorted(set(a.points) & set(b.points))
-    own = [np.stack([one.points[name] for name in names]) for one in (a, b)]
+    flow = _flow_between(a, b, sources, frame)
     lights = parse_lights(str(a.attrs["lights"]))
     made = []
     for level in _levels(options.levels):
-        to = between(own, level if options.vary == "shape" else 0.0)
-        normals = [bend(one.normal, at, to) for one, at in zip((a, b), own, strict=True)]
-        textures = [bend(one.images["texture"], at, to) for one, at in zip((a, b), own, strict=True)]
         if options.vary == "shape":
-            normal, texture = mixed_normals(normals[0], normals[1], level), textures[0]
+            to = between(flow, level)
+            normal = mixed_normals(pulled(a.normal, to.first), pulled(b.normal, to.second), level)
+            texture = pulled(a.images["texture"], to.first)
         else:
-            mixed = (1 - level) * textures[0] + level * textures[1]
-            normal, texture = mixed_normals(normals[0], normals[0], 0.0), mixed.astype(np.float32)
+            normal = a.normal
+            mixed = (1 - level) * a.images["texture"] + level * pulled(b.images["texture"], flow)
+            texture = mixed.astype(np.float32)
         shape = np.broadcast_to(shade(normal, lights), texture.shape)
         images = {"shape": shape, "texture": texture, "both": shape * texture}
         name = f"{a.name}-{b.name}-{options.vary}-{round(100 * level):03d}"
-        filled = max(a.filled, b.filled)
-        made.append(Subject(name, normal, images, {}, filled, f"{a.result}+{b.result}", a.attrs, a.found_by))
+        made.append(Subject(name, normal, images, max(a.filled, b.filled), a.attrs))
     return made
+
+
+def _flow_between(a: Subject, b: Subject, sources: Mapping[str, Source], frame: Any) -> "NDArray[np.float32]":
+    """From a to b; it leads through the points that somebody gave for both."""
+    import numpy as np
+
+    from dag.stage import StageError
+    from stages.face_flow import face_flow, through_points
+
+    flow = face_flow(a.normal, b.normal, frame.oval(), frame.eyes_px)
+    given = [sources[one.name] for one in (a, b)]
+    names = sorted(set.intersection(*(set(one.framed) for one in given)))
+    if any(one.found_by != "given" for one in given):
+        return flow
+    try:
+        return through_points(flow, *(np.stack([one.framed[name] for name in names]) for one in given))
+    except StageError as error:
+        raise RequestError(f"--points: '{a.name}': {error}") from None
 
 
 def _setting(
@@ -317,12 +361,18 @@ def _setting(
 
 
 def _written(
-    subjects: Sequence[Subject], frame: Any, options: argparse.Namespace, store: Store, screen: Screen
+    subjects: Sequence[Subject],
+    sources: Mapping[str, Source],
+    frame: Any,
+    options: argparse.Namespace,
+    store: Store,
+    screen: Screen,
 ) -> int:
     """Match, write, and say what came out."""
     import numpy as np
 
     from cli import stimulus_files as files
+    from cli.face_points import as_yaml
     from dag.stage import StageError
     from stages.matching import furthest, match
     from store.digest import SHORT, digest_value
@@ -331,7 +381,7 @@ def _written(
     entries = [(subject, kind) for kind in kinds for subject in subjects]
     methods = [] if options.match == "none" else options.match.split(",")
     groups = [entries] if options.across == "set" else [[e for e in entries if e[1] == kind] for kind in kinds]
-    recipe = _recipe(subjects, frame, options)
+    recipe = _recipe(subjects, sources, frame, options)
     recipe["digest"] = digest_value(recipe)[:SHORT]
     shown = files.Screen(options.distance_cm, options.pixels_per_cm)
     rows, data, apart = [], {}, []
@@ -368,8 +418,10 @@ def _written(
             f"clipped to black or white, of the oval: {', '.join(clipped)}; a smaller --contrast or another --mean "
             "avoids it"
         )
-    folder = options.to or store.root / "stimuli" / str(recipe["digest"])
-    new = files.write_set(folder.absolute(), rows, data, recipe, jspsych=options.jspsych)
+    points = as_yaml({name: source.points for name, source in sources.items()})
+    content = files.assemble(rows, data, recipe, points, jspsych=options.jspsych)
+    folder = options.to or store.root / "stimuli" / f"{recipe['digest']}-{files.manifest(content)}"
+    new = files.write_set(folder.absolute(), content)
     for off, what in zip(apart, kinds if options.across == "kind" else ["the set"], strict=True):
         screen.say(
             f"{what}: furthest from the mean: mean {off['mean_linear']:.2f}, contrast {off['contrast_linear']:.2f} "
@@ -381,7 +433,9 @@ def _written(
     return 0
 
 
-def _recipe(subjects: Sequence[Subject], frame: Any, options: argparse.Namespace) -> dict[str, Any]:
+def _recipe(
+    subjects: Sequence[Subject], sources: Mapping[str, Source], frame: Any, options: argparse.Namespace
+) -> dict[str, Any]:
     """Everything that decides the pictures."""
     same = (
         "match", "across", "kinds", "mean", "contrast", "background", "grey", "encoding", "morph", "levels", "vary",
@@ -391,16 +445,15 @@ def _recipe(subjects: Sequence[Subject], frame: Any, options: argparse.Namespace
         "format": "lightstage-stimuli/1",
         "options": {name: getattr(options, name) for name in same},
         "eyes_px": frame.eyes_px,
-        "subjects": [
-            {
-                "name": one.name,
+        "sessions": {
+            name: {
                 "result": one.result,
-                "eyes": one.found_by,
-                "points": {key: [round(float(v), 3) for v in at] for key, at in sorted(one.points.items())},
-                "stimulus": dict(one.attrs),
+                "points": one.found_by,
+                **{key: [round(float(v), 3) for v in at] for key, at in sorted(one.points.items())},
             }
-            for one in subjects
-        ],
+            for name, one in sources.items()
+        },
+        "subjects": {one.name: dict(one.attrs) for one in subjects},
     }
 
 
@@ -438,10 +491,15 @@ def _preview(
             f"{name}: one light at azimuth,elevation,strength; --set stimulus.lights='...' takes several"
         )
         path = folder / f"{name}-lights.png"
+        part = path.with_name(f".{path.name}.part")
         try:
-            figure.savefig(path, dpi=110)
+            figure.savefig(part, format="png", dpi=110)
+            os.replace(part, path)
+        except OSError as error:
+            raise WorkError(f"{path} cannot be written ({error.strerror or error})") from None
         finally:
             plt.close(figure)
+            part.unlink(missing_ok=True)
         screen.say(f"picture: {path}")
         written.append(str(path))
     screen.document({"pictures": written})

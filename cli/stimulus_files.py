@@ -1,11 +1,12 @@
 """The folder of a stimulus set: pictures with their colour said, tables for whoever shows them, a page that runs.
 
-    <subject>_<kind>.png        8 bits, sRGB (chunk sRGB) or linear (chunk gAMA 1)
+    <subject>_<kind>.png        8 bits, sRGB (chunk sRGB), or linear (chunk gAMA 1)
     16bit/<subject>_<kind>.png  16 bits, linear (chunk gAMA 1)
     stimuli.csv                 what is in each picture
     conditions.csv              for PsychoPy (`data.importConditions`)
     stimuli.js                  the same as jsPsych timeline variables, for experiment.html
     experiment.html             shows them one by one and asks for a key
+    points.yaml                 where the eyes are in the sessions' pictures, to be changed and given with --points
     recipe.json                 what the set was made from
 
 Source of the chunks: Portable Network Graphics, third edition (W3C 2025), 11.3.2.
@@ -24,6 +25,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from store.digest import SHORT, digest_value
 from store.errors import RequestError, WorkError
 
 if TYPE_CHECKING:
@@ -36,6 +38,8 @@ COLUMNS = (
     "encoding", "digest", "recipe",
 )  # fmt: skip
 SRGB_GAMMA = 1 / 2.2
+PRIMARIES = (0.3127, 0.3290, 0.64, 0.33, 0.30, 0.60, 0.15, 0.06)
+"""x and y of white, red, green and blue of sRGB; linear pictures have the same."""
 JSPSYCH = ("jspsych@8.3.0", "@jspsych/plugin-image-keyboard-response@2.2.0")
 """What experiment.html asks for."""
 
@@ -68,7 +72,8 @@ def png(values: "NDArray[np.integer[Any]]", *, srgb: bool) -> bytes:
     data = made.tobytes()
     # the signature has 8 bytes and the first chunk, IHDR, 25; what says the colour comes before the pixels
     gamma = _chunk(b"gAMA", round(100000 * (SRGB_GAMMA if srgb else 1.0)).to_bytes(4, "big"))
-    said = (_chunk(b"sRGB", b"\x00") if srgb else b"") + gamma
+    primaries = _chunk(b"cHRM", b"".join(round(100000 * v).to_bytes(4, "big") for v in PRIMARIES))
+    said = (_chunk(b"sRGB", b"\x00") if srgb else b"") + gamma + primaries
     return data[:33] + said + data[33:]
 
 
@@ -81,38 +86,54 @@ def sha256(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-def write_set(
-    folder: Path,
+def assemble(
     rows: Sequence[Mapping[str, Any]],
     pictures: Mapping[str, bytes],
     recipe: Mapping[str, Any],
+    points: str,
     *,
     jspsych: Path | None,
-) -> bool:
-    """Write the whole folder, or nothing; False if the same set is there.
+) -> dict[str, bytes]:
+    """Every file of the folder, by name.
 
     Args:
-        folder: to be made; its parent is made too.
         rows: one a picture, with COLUMNS.
         pictures: bytes by file name.
-        recipe: goes into recipe.json; it has a `digest`.
+        recipe: goes into recipe.json.
+        points: goes into points.yaml.
         jspsych: a folder that holds jspsych.js, jspsych.css and plugin-image-keyboard-response.js, to be copied.
 
     Raises:
-        RequestError: something else is there, or jspsych lacks a file.
+        RequestError: jspsych lacks a file.
     """
     files: dict[str, bytes] = dict(pictures)
     files["stimuli.csv"] = _table(rows, COLUMNS)
     shown = [_condition(row) for row in rows]
     files["conditions.csv"] = _table(shown, tuple(shown[0]))
     files["stimuli.js"] = f"const stimuli = {json.dumps(shown, indent=1)};\n".encode()
-    local = _copied(jspsych, files)
-    files["experiment.html"] = _page(local).encode()
+    if jspsych is not None:
+        files |= _copied(jspsych)
+    files["experiment.html"] = _page(local=jspsych is not None).encode()
+    files["points.yaml"] = points.encode()
     files["recipe.json"] = (json.dumps(recipe, indent=1, sort_keys=True) + "\n").encode()
+    return files
+
+
+def manifest(files: Mapping[str, bytes]) -> str:
+    """Digest of everything in the folder."""
+    return digest_value({name: sha256(data) for name, data in files.items()})[:SHORT]
+
+
+def write_set(folder: Path, files: Mapping[str, bytes]) -> bool:
+    """Write the whole folder, or nothing; False if the same set is there. The folder's parent is made too.
+
+    Raises:
+        RequestError: something else is there.
+    """
     if folder.exists():
         if _same(folder, files):
             return False
-        raise RequestError(f"--to {folder}: something is there already, and it is not this set; name a new folder")
+        raise RequestError(f"{folder}: something is there already, and it is not this set; name a new folder")
     part = folder.with_name(f".{folder.name}.part-{os.getpid()}")
     try:
         part.mkdir(parents=True)
@@ -152,17 +173,14 @@ def _condition(row: Mapping[str, Any]) -> dict[str, Any]:
 _LOCAL = ("jspsych.css", "jspsych.js", "plugin-image-keyboard-response.js")
 
 
-def _copied(source: Path | None, files: dict[str, bytes]) -> bool:
-    if source is None:
-        return False
+def _copied(source: Path) -> dict[str, bytes]:
     lacking = [name for name in _LOCAL if not (source / name).is_file()]
     if lacking:
         raise RequestError(f"--jspsych {source}: {lacking[0]} is not there; needed are {', '.join(_LOCAL)}")
-    files |= {f"jspsych/{name}": (source / name).read_bytes() for name in _LOCAL}
-    return True
+    return {f"jspsych/{name}": (source / name).read_bytes() for name in _LOCAL}
 
 
-def _page(local: bool) -> str:
+def _page(*, local: bool) -> str:
     base = "https://unpkg.com/"
     style, core, plugin = (
         [f"jspsych/{name}" for name in _LOCAL]

@@ -30,7 +30,8 @@ that a stage calls; they count in its key.
     skin_layers.py           what layered skin reflects, and whether a spectrum is like it
     microfacets.py           how a rough surface reflects, and what a rig's lights show of it
     relighting.py            a found surface under other lights
-    face_frame.py            faces brought to one place, under one oval, and between two faces
+    face_frame.py            faces brought to one place, under one oval
+    face_flow.py             which place of one face is which of another, and what lies between the two
     matching.py              equal mean, contrast, histogram and spectrum, in pictures as they are stored
     pinhole.py               the reference camera: rays, points, smaller pictures
 """

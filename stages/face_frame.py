@@ -1,4 +1,4 @@
-"""Faces in one frame: the same place, size and rotation, one oval, and what lies between two faces.
+"""Faces in one frame: the same place, size and rotation, and one oval.
 
 The frame is tied to the eyes, which stand level and `eyes_px` apart; every other length is a part of that distance.
 The oval lies within the outline of a usual face, from the hairline to the chin and between the ears: 1.0 eye
@@ -6,13 +6,10 @@ distances to the sides and 1.45 up and down, about a centre 0.35 below the eyes.
 
 Where nobody gives the eyes, `find_face` lays a template head over the normals: the similarity under which slopes of
 both agree best, first by correlation over sizes and places, then by least squares. Normals do not depend on skin
-or light, so one template does for all. It finds place and size of the face as a whole, and does not see the eyes.
-
-Between two faces, pictures are warped by thin-plate splines on points that both have (Bookstein 1989,
-doi:10.1109/34.24792); normals are mixed as vectors and made unit again.
+or light, so one template does for all. It finds place and size of the face as a whole; where on it the eyes are,
+the flow from the template's face to this one says (`face_flow.py`).
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import cv2
@@ -20,7 +17,6 @@ import numpy as np
 import scipy.ndimage
 import scipy.optimize
 from numpy.typing import NDArray
-from skimage.transform import ThinPlateSplineTransform
 
 from dag.stage import StageError
 
@@ -91,18 +87,30 @@ def bring(picture: Image, matrix: Array, shape: tuple[int, int]) -> tuple[Image,
         StageError: nothing is valid.
     """
     known = np.isfinite(picture).all(axis=0)
-    if not known.any():
-        raise StageError("the picture holds no valid pixel")
-    rows, columns = scipy.ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
-    filled = picture[:, rows, columns]
+    whole = filled(picture)
     shrink = float(np.sqrt(abs(np.linalg.det(matrix[:, :2]))))
     if shrink > 1:  # what the smaller picture cannot hold would fold into it
-        filled = np.stack([cv2.GaussianBlur(c, (0, 0), 0.5 * np.sqrt(shrink**2 - 1) + 1e-3) for c in filled])
+        whole = np.stack([cv2.GaussianBlur(c, (0, 0), 0.5 * np.sqrt(shrink**2 - 1) + 1e-3) for c in whole])
     size, back = shape[::-1], cv2.WARP_INVERSE_MAP
     cubic = {"flags": cv2.INTER_CUBIC | back, "borderMode": cv2.BORDER_REPLICATE}
-    out = np.stack([cv2.warpAffine(np.ascontiguousarray(c), matrix, size, **cubic) for c in filled])
+    out = np.stack([cv2.warpAffine(np.ascontiguousarray(c), matrix, size, **cubic) for c in whole])
     there = cv2.warpAffine(known.astype(np.float32), matrix, size, flags=cv2.INTER_LINEAR | back, borderValue=0.0)
     return out.astype(np.float32), there > 0.5
+
+
+def filled(picture: Image) -> Image:
+    """A picture (channel, y, x) whose unknown pixels (NaN in any channel) take the nearest known one's values.
+
+    Raises:
+        StageError: nothing is known.
+    """
+    known = np.isfinite(picture).all(axis=0)
+    if not known.any():
+        raise StageError("the picture holds no valid pixel")
+    if known.all():
+        return picture
+    rows, columns = scipy.ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
+    return picture[:, rows, columns]
 
 
 def turned(normal: Image, matrix: Array) -> Image:
@@ -176,36 +184,3 @@ def _slopes(normal: Image, factor: float) -> Image:
     size = (round(plain.shape[1] * factor), round(plain.shape[0] * factor))
     small = cv2.resize(plain, size, interpolation=cv2.INTER_AREA)
     return np.asarray(cv2.GaussianBlur(small, (0, 0), 1.5), np.float32)
-
-
-def between(points: Sequence[Array], level: float) -> Array:
-    """(point, xy): points of two faces mixed; level 0 is the first."""
-    return (1 - level) * points[0] + level * points[1]
-
-
-def bend(picture: Image, own: Array, wanted: Array) -> Image:
-    """A picture (channel, y, x) bent by thin-plate splines so that its points `own` (point, xy) come to `wanted`.
-
-    The picture's border is held, and so is everything when points are where they are wanted.
-    """
-    if np.allclose(own, wanted):
-        return picture
-    rows, columns = picture.shape[1:]
-    across, down = np.meshgrid(np.linspace(0, columns - 1, 4), np.linspace(0, rows - 1, 4))
-    edge = (across % (columns - 1) == 0) | (down % (rows - 1) == 0)
-    held = np.stack([across[edge], down[edge]], axis=1)
-    to = np.concatenate([wanted, held])
-    spline = ThinPlateSplineTransform.from_estimate(to, np.concatenate([own, held]))
-    if not spline:
-        raise StageError("the points of the two faces do not tell a warp: two of them are the same")
-    y, x = np.mgrid[:rows, :columns]
-    at = spline(np.stack([x.ravel(), y.ravel()], axis=1).astype(np.float64)).reshape(rows, columns, 2)
-    maps = np.ascontiguousarray(at[..., 0], np.float32), np.ascontiguousarray(at[..., 1], np.float32)
-    return np.stack([cv2.remap(c, *maps, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE) for c in picture])
-
-
-def mixed_normals(first: Image, second: Image, level: float) -> Image:
-    """Unit normals (xyz, y, x) between two; level 0 is the first. Opposite vectors at level 1/2 give the first."""
-    both = np.float32(1 - level) * first + np.float32(level) * second
-    length = np.linalg.norm(both, axis=0)
-    return np.asarray(np.where(length > 1e-6, both / np.maximum(length, np.float32(1e-6)), first), np.float32)

@@ -38,9 +38,9 @@ def heads(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def made(heads: Path, lightstage: Lightstage, tmp_path: Path) -> Callable[..., tuple[Answer, Path]]:
     """The command on those heads, and the folder it was to write."""
 
-    def call(*words: str) -> tuple[Answer, Path]:
-        folder = tmp_path / "set"
-        return lightstage("stimuli", *SUBJECTS, "--to", folder, *words, "--json", store=heads), folder
+    def call(*words: str, folder: str = "set") -> tuple[Answer, Path]:
+        to = tmp_path / folder
+        return lightstage("stimuli", *SUBJECTS, "--to", to, *words, "--json", store=heads), to
 
     return call
 
@@ -124,7 +124,7 @@ def test_a_png_keeps_its_numbers(dtype: Any, shape: tuple[int, ...], tmp_path: P
     np.testing.assert_array_equal(back[..., ::-1] if back.ndim == 3 else back, values)
     names = [name for name, _ in chunks(path.read_bytes())]
     assert names[0] == b"IHDR"
-    assert names.index(b"sRGB") < names.index(b"gAMA") < names.index(b"IDAT")
+    assert names.index(b"sRGB") < names.index(b"gAMA") < names.index(b"cHRM") < names.index(b"IDAT")
 
 
 def test_conditions_for_experiments(made: Any) -> None:
@@ -189,6 +189,32 @@ def test_a_morph_varies_one_and_keeps_the_other(made: Any) -> None:
     assert np.abs(picture(0, "texture") - picture(100, "texture"))[inner].max() > 500
 
 
+def test_a_morph_of_shape_keeps_the_texture_and_starts_and_ends_at_the_faces(made: Any) -> None:
+    words = ("--match", "none", "--grey", "--encoding", "linear", "--background", "0.4")
+    morphed, folder = made("--morph", *SUBJECTS, "--levels", "0,0.5,1", "--kinds", "shape,texture", *words)
+    assert morphed.code == 0, morphed.err
+    plain, own = made("--kinds", "shape,texture", *words, folder="own")
+    assert plain.code == 0, plain.err
+
+    def picture(at: Path, name: str) -> Any:
+        return cv2.imread(str(at / "16bit" / f"{name}.png"), cv2.IMREAD_UNCHANGED).astype(float) / 65535
+
+    inner = picture(own, "one_shape").shape[0] // 6
+    inner = np.s_[inner:-inner, inner:-inner]
+    ends = [picture(own, f"{name}_shape")[inner] for name in SUBJECTS]
+    levels = [picture(folder, f"one-two-shape-{level:03d}_shape")[inner] for level in (0, 50, 100)]
+    # a morph shades normals that were brought to the frame, a set brings shaded pictures: edges differ a little
+    apart = np.abs(ends[0] - ends[1]).mean()
+    assert np.abs(levels[0] - ends[0]).mean() < 0.03 * apart
+    assert np.abs(levels[2] - ends[1]).mean() < 0.1 * apart
+    assert 0.3 * apart < np.abs(levels[1] - ends[0]).mean() < 0.9 * apart
+    # a bent texture has the values of the first one's, not those of the other's
+    texture = [np.median(picture(own, f"{name}_texture")[inner]) for name in SUBJECTS]
+    last = np.median(picture(folder, "one-two-shape-100_texture")[inner])
+    assert abs(texture[0] - texture[1]) > 0.02
+    assert last == pytest.approx(texture[0], abs=0.1 * abs(texture[0] - texture[1]))
+
+
 def test_the_same_set_is_not_written_twice_and_nothing_is_overwritten(made: Any) -> None:
     first, folder = made("--kinds", "shape")
     assert first.code == 0, first.err
@@ -212,7 +238,19 @@ def test_points_by_hand_decide_the_frame(made: Any, tmp_path: Path) -> None:
     assert "mean head" not in done.err
     recipe = json.loads((folder / "recipe.json").read_text())
     assert recipe["eyes_px"] == 36
-    assert {one["eyes"] for one in recipe["subjects"]} == {"given"}
+    assert {one["points"] for one in recipe["sessions"].values()} == {"given"}
+
+
+def test_points_that_were_found_can_be_given_back(made: Any, heads: Path, lightstage: Lightstage) -> None:
+    done, folder = made("--kinds", "shape", "--match", "none")
+    assert done.code == 0, done.err
+    words = ("--kinds", "shape", "--match", "none", "--points", folder / "points.yaml", "--to", folder.parent / "2")
+    again = lightstage("stimuli", *SUBJECTS, *words, store=heads)
+    assert again.code == 0, again.err
+    for row in read(folder):
+        one, other = (np.asarray(Image.open(at / row["file"])).astype(int) for at in (folder, folder.parent / "2"))
+        # points are written to a hundredth of a pixel
+        assert np.abs(one - other).max() <= 2
 
 
 @pytest.mark.parametrize(
@@ -221,6 +259,7 @@ def test_points_by_hand_decide_the_frame(made: Any, tmp_path: Path) -> None:
         ("one: {left_eye: [1, 2]}", "needs left_eye and right_eye"),
         ("one: {left_eye: [90, 2], right_eye: [10, 2]}", "at the left of the picture"),
         ("one: {left_eye: [a, 2], right_eye: [10, 2]}", "expected [x, y] in pixels"),
+        ("one: {left_eye: [1, 2], right_eye: [210, 2]}", "outside the picture of 204 x 156"),
         ("- one", "expected sessions"),
     ],
 )
@@ -242,6 +281,7 @@ def test_wrong_points_are_named(made: Any, tmp_path: Path, text: str, says: str)
         (("--mean", "3"), "expected a number above 0"),
         (("--levels", "0,2"), "different numbers from 0 to 1"),
         (("--morph", "one", "three"), "'three' is not among the sessions"),
+        (("--morph", "one", "one"), "named twice"),
         (("--jspsych", "/nowhere"), "jspsych.css is not there"),
         (("--set", "stimulus.lights=0,0"), "expected azimuth,elevation,strength"),
     ],

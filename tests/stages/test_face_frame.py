@@ -1,6 +1,4 @@
-"""Faces in one frame: similarity, resampling, the template's place, and what lies between two faces."""
-
-from typing import Any
+"""Faces in one frame: similarity, resampling, the template's place."""
 
 import cv2
 import numpy as np
@@ -9,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dag.stage import StageError
-from stages.face_frame import Frame, bend, between, bring, find_face, mixed_normals, similarity, turned
+from stages.face_frame import Frame, bring, find_face, similarity, turned
 
 FRAME = Frame(40)
 
@@ -88,27 +86,3 @@ def test_a_sphere_is_no_face() -> None:
     normal = np.where(inside, np.stack([x, -y, z]), np.nan).astype(np.float32)
     with pytest.raises(StageError, match="no face"):
         find_face(normal, mean_face()[0])
-
-
-def test_points_come_to_where_they_are_wanted() -> None:
-    """A bright dot on each of a face's points: after the warp it is on the mixed points, within half a pixel."""
-    own = np.array([[30.0, 40], [70, 42], [50, 80]])
-    wanted = between([own, own + np.array([[2.0, -3], [-1, 4], [3, 3]])], 1.0)
-    y, x = np.mgrid[:110, :100]
-    picture = sum(np.exp(-((x - a) ** 2 + (y - b) ** 2) / 8) for a, b in own)[None].astype(np.float32)
-    moved = bend(picture, own, wanted)[0]
-    for a, b in wanted:
-        near = moved * (np.hypot(x - a, y - b) < 7)
-        np.testing.assert_allclose([(near * x).sum() / near.sum(), (near * y).sum() / near.sum()], [a, b], atol=0.5)
-    assert bend(picture, own, own) is picture
-
-
-@given(st.floats(0, 1))
-def test_mixed_normals_are_unit_and_between(level: float) -> None:
-    a = np.array([0, 0, 1], np.float32)[:, None, None]
-    b = np.array([np.sin(1.0), 0, np.cos(1.0)], np.float32)[:, None, None]
-    mixed: Any = mixed_normals(a, b, level)[:, 0, 0]
-    assert np.linalg.norm(mixed) == pytest.approx(1, abs=1e-6)
-    angle = np.arctan2(mixed[0], mixed[2])
-    assert -1e-6 <= angle <= 1 + 1e-6
-    np.testing.assert_allclose(mixed_normals(a, b, 0.5)[:, 0, 0], [np.sin(0.5), 0, np.cos(0.5)], atol=1e-6)
