@@ -78,7 +78,7 @@ def configure(commands: Any) -> None:
     stimuli.add_argument("--levels", default="0,0.25,0.5,0.75,1", metavar="T,...", help="of a morph; 0 is A")
     stimuli.add_argument("--vary", choices=("shape", "texture"), default="shape", help="what a morph changes")
     stimuli.add_argument(
-        "--jspsych", type=Path, metavar="DIR", help="a folder with jsPsych, for a page without network"
+        "--jspsych", type=Path, metavar="DIR", help="a folder with a copy of jsPsych, for a page without network"
     )
     stimuli.add_argument(
         "--preview-lights", action="store_true", help="a sheet of shape under single lights instead"
@@ -412,7 +412,7 @@ def _written(
                     "encoding": options.encoding, "digest": files.sha256(data[name]), "recipe": recipe["digest"],
                 }
             )  # fmt: skip
-    clipped = [f"{row['file']} ({100 * row['clipped']:.2f} %)" for row in rows if row["clipped"] > 0]
+    clipped = [f"{row['file']} ({100 * row['clipped']:.2g} %)" for row in rows if row["clipped"] > 0]
     if clipped:
         screen.warn(
             f"clipped to black or white, of the oval: {', '.join(clipped)}; a smaller --contrast or another --mean "

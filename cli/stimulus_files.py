@@ -101,10 +101,10 @@ def assemble(
         pictures: bytes by file name.
         recipe: goes into recipe.json.
         points: goes into points.yaml.
-        jspsych: a folder that holds jspsych.js, jspsych.css and plugin-image-keyboard-response.js, to be copied.
+        jspsych: a folder with a copy of jsPsych, which goes into the set; without it the page asks the network.
 
     Raises:
-        RequestError: jspsych lacks a file.
+        RequestError: the folder has no jsPsych.
     """
     files: dict[str, bytes] = dict(pictures)
     files["stimuli.csv"] = _table(rows, COLUMNS)
@@ -170,14 +170,24 @@ def _condition(row: Mapping[str, Any]) -> dict[str, Any]:
     return {name: round(row[name], 4) if isinstance(row[name], float) else row[name] for name in keep}
 
 
-_LOCAL = ("jspsych.css", "jspsych.js", "plugin-image-keyboard-response.js")
+_PLUGIN = "plugin-image-keyboard-response"
+_LOCAL = {
+    "jspsych.css": "node_modules/jspsych/css/jspsych.css",
+    "jspsych.js": "node_modules/jspsych/dist/index.browser.min.js",
+    f"{_PLUGIN}.js": f"node_modules/@jspsych/{_PLUGIN}/dist/index.browser.min.js",
+}
+"""What the page needs: the files' names in a release of jsPsych, and where npm puts them."""
 
 
 def _copied(source: Path) -> dict[str, bytes]:
-    lacking = [name for name in _LOCAL if not (source / name).is_file()]
-    if lacking:
-        raise RequestError(f"--jspsych {source}: {lacking[0]} is not there; needed are {', '.join(_LOCAL)}")
-    return {f"jspsych/{name}": (source / name).read_bytes() for name in _LOCAL}
+    for places in (_LOCAL, _LOCAL.values()):
+        found = [source / place for place in places]
+        if all(path.is_file() for path in found):
+            return {f"jspsych/{name}": path.read_bytes() for name, path in zip(_LOCAL, found, strict=True)}
+    raise RequestError(
+        f"--jspsych {source}: is no copy of jsPsych; expected a folder with {', '.join(_LOCAL)}, or one in which "
+        f"`npm install {' '.join(JSPSYCH)}` was run"
+    )
 
 
 def _page(*, local: bool) -> str:

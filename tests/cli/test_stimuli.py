@@ -3,9 +3,11 @@
 import csv
 import hashlib
 import json
+import os
 import shutil
 import struct
 import subprocess
+import sys
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -143,19 +145,31 @@ def test_conditions_for_experiments(made: Any) -> None:
         np.testing.assert_array_equal(np.bincount(other.ravel()), np.bincount(first.ravel()))
 
 
+READ_BY_PSYCHOPY = """
+import json, sys
+from psychopy import data
+rows, names = data.importConditions(sys.argv[1], returnFieldNames=True)
+trials = data.TrialHandler(rows, 1, "sequential")
+print("FOUND", json.dumps([list(names), [str(trial["file"]) for trial in trials]]))
+"""
+
+
 def test_psychopy_reads_the_conditions(made: Any) -> None:
-    data = pytest.importorskip("psychopy.data", reason="PsychoPy is not installed")
+    """By its own reader, in this Python or the one that LIGHTSTAGE_PSYCHOPY names."""
+    python = os.environ.get("LIGHTSTAGE_PSYCHOPY", sys.executable)
+    if subprocess.run([python, "-c", "import psychopy.data"], capture_output=True, timeout=120).returncode:
+        pytest.skip("PsychoPy is not installed; LIGHTSTAGE_PSYCHOPY may name a Python that has it")
     done, folder = made()
     assert done.code == 0, done.err
-    rows, names = data.importConditions(str(folder / "conditions.csv"), returnFieldNames=True)
-    assert len(rows) == 6
+    command = [python, "-c", READ_BY_PSYCHOPY, str(folder / "conditions.csv")]
+    said = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True).stdout
+    names, files = json.loads(said.rpartition("FOUND ")[2])
     assert names[:3] == ["subject", "kind", "file"]
+    assert files == [row["file"] for row in read(folder)]
 
 
 def test_the_page_loads_in_a_browser(made: Any, tmp_path: Path) -> None:
     """Without jsPsych it shows every picture; with a local copy (LIGHTSTAGE_JSPSYCH) it runs to its end."""
-    import os
-
     browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if browser is None:
         pytest.skip("no Chromium is installed")
@@ -167,9 +181,34 @@ def test_the_page_loads_in_a_browser(made: Any, tmp_path: Path) -> None:
     command += ["--allow-file-access-from-files", "--host-resolver-rules=MAP * ~NOTFOUND"]
     command += ["--virtual-time-budget=60000", "--dump-dom", page]
     shown = subprocess.run(command, capture_output=True, text=True, timeout=120).stdout
-    for row in read(folder):
-        assert row["file"] in shown.partition("</script>\n")[2].rpartition("</script>")[2]
+    body = shown.rpartition("</script>")[2]
     assert ("jspsych-data-display" in shown) == bool(local)
+    for row in read(folder):
+        assert row["file"] in body
+
+
+@pytest.mark.parametrize("layout", ["release", "npm"])
+def test_jspsych_is_copied_from_its_release_or_from_npm(made: Any, tmp_path: Path, layout: str) -> None:
+    source = tmp_path / layout
+    modules = source / "node_modules"
+    places = {
+        "release": [source / name for name in ("jspsych.css", "jspsych.js", "plugin-image-keyboard-response.js")],
+        "npm": [
+            modules / "jspsych" / "css" / "jspsych.css",
+            modules / "jspsych" / "dist" / "index.browser.min.js",
+            modules / "@jspsych" / "plugin-image-keyboard-response" / "dist" / "index.browser.min.js",
+        ],
+    }[layout]
+    for place in places:
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.write_text(place.name)
+    done, folder = made("--kinds", "shape", "--jspsych", str(source))
+    assert done.code == 0, done.err
+    page = (folder / "experiment.html").read_text()
+    assert "unpkg" not in page
+    for name in ("jspsych.css", "jspsych.js", "plugin-image-keyboard-response.js"):
+        assert (folder / "jspsych" / name).is_file()
+        assert f"jspsych/{name}" in page
 
 
 def test_a_morph_varies_one_and_keeps_the_other(made: Any) -> None:
@@ -282,7 +321,7 @@ def test_wrong_points_are_named(made: Any, tmp_path: Path, text: str, says: str)
         (("--levels", "0,2"), "different numbers from 0 to 1"),
         (("--morph", "one", "three"), "'three' is not among the sessions"),
         (("--morph", "one", "one"), "named twice"),
-        (("--jspsych", "/nowhere"), "jspsych.css is not there"),
+        (("--jspsych", "/nowhere"), "is no copy of jsPsych"),
         (("--set", "stimulus.lights=0,0"), "expected azimuth,elevation,strength"),
     ],
 )
