@@ -27,6 +27,7 @@ _AZIMUTHS, _ELEVATIONS = (-60, -40, -20, 0, 20, 40, 60), (45, 30, 15, 0, -15)
 _ROLL_DEG = 3.0
 _WORTH_SAYING = 0.001
 """Part of the oval that may be filled without a word; the table has every part."""
+_REMEDY = "; a smaller --contrast, or leaving out the picture that is most unlike the others, helps"
 _BLACK = 1e-3
 """Luminance below which colour is noise."""
 
@@ -374,7 +375,7 @@ def _written(
     from cli import stimulus_files as files
     from cli.face_points import as_yaml
     from dag.stage import StageError
-    from stages.matching import furthest, match
+    from stages.matching import apart, match
     from store.digest import SHORT, digest_value
 
     kinds = options.kinds.split(",")
@@ -384,14 +385,14 @@ def _written(
     recipe = _recipe(subjects, sources, frame, options)
     recipe["digest"] = digest_value(recipe)[:SHORT]
     shown = files.Screen(options.distance_cm, options.pixels_per_cm)
-    rows, data, apart = [], {}, []
+    rows, data, differences = [], {}, []
     for group in groups:
         setting, luminance, tint = _setting([one.images[kind] for one, kind in group], frame, options)
         try:
             matched = match(luminance, setting, methods, mean=options.mean, contrast=options.contrast)
         except StageError as error:
             raise RequestError(str(error)) from None
-        apart.append(furthest(matched))
+        differences.append(apart(matched))
         for i, ((subject, kind), one) in enumerate(zip(group, matched, strict=True)):
             name = f"{subject.name}_{kind}.png"
             data[name] = files.png(setting.store(i, one.luminance), srgb=options.encoding == "srgb")
@@ -422,15 +423,28 @@ def _written(
     content = files.assemble(rows, data, recipe, points, jspsych=options.jspsych)
     folder = options.to or store.root / "stimuli" / f"{recipe['digest']}-{files.manifest(content)}"
     new = files.write_set(folder.absolute(), content)
-    for off, what in zip(apart, kinds if options.across == "kind" else ["the set"], strict=True):
-        screen.say(
-            f"{what}: furthest from the mean: mean {off['mean_linear']:.2f}, contrast {off['contrast_linear']:.2f} "
-            f"of luminance, {off['mean_code']:.2f} and {off['contrast_code']:.2f} of code values (grey levels); "
-            f"spectrum {100 * off['spectrum']:.1f} %"
-        )
+    for off, what in zip(differences, kinds if options.across == "kind" else ["the set"], strict=True):
+        _say_how_equal(off, what, methods, screen)
     screen.say(f"{len(rows)} stimuli of {len(subjects)} subjects {'are' if new else 'were already'} in {folder}")
-    screen.document({"folder": str(folder), "stimuli": rows, "furthest": apart, "recipe": recipe["digest"]})
+    screen.document(
+        {"folder": str(folder), "stimuli": rows, "largest_difference": differences, "recipe": recipe["digest"]}
+    )
     return 0
+
+
+def _say_how_equal(off: Mapping[str, float], what: str, methods: Sequence[str], screen: Screen) -> None:
+    from stages.matching import PROMISED_LEVELS, PROMISED_SPECTRUM
+
+    screen.say(
+        f"{what}, largest difference between two, in grey levels: of luminance mean {off['mean_linear']:.2f}, "
+        f"contrast {off['contrast_linear']:.2f}; of code values mean {off['mean_code']:.2f}, "
+        f"contrast {off['contrast_code']:.2f}; spectra from their mean {100 * off['spectrum']:.1f} %"
+    )
+    levels = max(value for name, value in off.items() if name != "spectrum")
+    if methods and levels > PROMISED_LEVELS:
+        screen.warn(f"{what} is matched to {levels:.2f} grey levels only, not to {PROMISED_LEVELS:g}{_REMEDY}")
+    if "spectrum" in methods and off["spectrum"] > PROMISED_SPECTRUM:
+        screen.warn(f"spectra of {what} are matched to {100 * off['spectrum']:.1f} % only, not to 1 %{_REMEDY}")
 
 
 def _recipe(

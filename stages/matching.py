@@ -39,7 +39,9 @@ Codes = NDArray[np.uint8]
 TOP = 255
 METHODS = ("mean-contrast", "histogram", "spectrum")
 ENOUGH_LEVELS, ENOUGH_SPECTRUM = 0.25, 0.006
-"""Rounds end when means and contrasts are this near (grey levels), and rings (part): half of what is promised."""
+"""Rounds end when means and contrasts are this near to the set's (grey levels), and rings (part)."""
+PROMISED_LEVELS, PROMISED_SPECTRUM = 0.5, 0.01
+"""What is promised of any two pictures, and of rings."""
 _ROUNDS, _SMALL_ROUNDS = 12, 120
 _LEVEL_ROUNDS = 4
 _STEP, _SMALL_STEP = 0.8, 0.5
@@ -380,13 +382,12 @@ def _worst(found: Matched, target: Array, level: _Level) -> float:
     return max(float(rings_off) / ENOUGH_SPECTRUM, level.off(found) / ENOUGH_LEVELS)
 
 
-def furthest(matched: Sequence[Matched]) -> dict[str, float]:
-    """How far apart the pictures of a set are: figures in grey levels, rings as a part of the set's mean."""
+def apart(matched: Sequence[Matched]) -> dict[str, float]:
+    """How unlike the pictures of a set are: the largest difference between any two by figure, in grey levels.
+
+    `spectrum` is how far a ring of any picture is from the set's mean of that ring, as a part of it.
+    """
     rows = np.array([one.figures for one in matched])
-    middle = rows.mean(axis=0)
     spectra = np.stack([one.spectrum for one in matched])[:, _LEAST_RING:]
-    apart: dict[str, Any] = {
-        name: float(np.abs(rows[:, i] - middle[i]).max()) for i, name in enumerate(Figures._fields)
-    }
-    apart["spectrum"] = float(np.abs(spectra / spectra.mean(axis=0) - 1).max())
-    return apart
+    found = dict(zip(Figures._fields, map(float, np.ptp(rows, axis=0)), strict=True))
+    return {**found, "spectrum": float(np.abs(spectra / spectra.mean(axis=0) - 1).max())}

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from dag.stage import StageError
 from stages.colour import decode_srgb, encode_srgb
 from stages.face_frame import Frame
-from stages.matching import Encoding, figures, furthest, grey_setting, match, rings, spectrum
+from stages.matching import Encoding, apart, figures, grey_setting, match, rings, spectrum
 
 SRGB = Encoding(encode_srgb, decode_srgb)
 LINEAR = Encoding(np.asarray, np.asarray)
@@ -79,7 +79,7 @@ def test_a_set_is_equal_within_half_a_grey_level_as_stored(methods: list[str], e
 
 def test_before_matching_the_set_is_far_apart() -> None:
     """Else the tests above would show nothing: grey levels, and parts of a ring."""
-    off = furthest(match(faces(4), setting(), []))
+    off = apart(match(faces(4), setting(), []))
     assert off["mean_linear"] > 10
     assert off["contrast_linear"] > 2
     assert off["spectrum"] > 0.3
