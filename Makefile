@@ -5,11 +5,11 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 RUN    := $(BIN)/lightstage $(if $(STORE),--store "$(STORE)")
 
-.PHONY: help setup normals performance skin shape test lint format bench docs golden clean
+.PHONY: help setup normals performance skin shape stimuli material test lint format bench docs golden clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 13
-	@echo "Variables: SESSION=name or capture folder, STORE=folder (default data/), PYTHON=python3"
+	@echo "Variables: SESSION=name or capture folder, TO=folder, STORE=folder (default data/), PYTHON=python3"
 
 # What a user needs and what a developer needs have a lock file each, so that the first picture comes sooner.
 $(VENV)/.user: requirements.lock pyproject.toml
@@ -38,6 +38,12 @@ skin: $(VENV)/.user  ## melanin and haemoglobin: SESSION=name or folder, or the 
 shape: $(VENV)/.user  ## a mesh with texture: SESSION=name or folder, or the virtual rig's demo
 	@$(RUN) shape $(if $(SESSION),"$(SESSION)")
 
+stimuli: $(VENV)/.user  ## a matched set of face pictures: SESSION="anna ben carla", names or folders
+	@$(RUN) stimuli $(SESSION) $(if $(TO),--to "$(TO)")
+
+material: $(VENV)/.user  ## base colour, gloss and normals for renderers: SESSION=name or folder, TO=folder
+	@$(RUN) material $(if $(SESSION),"$(SESSION)") --to "$(or $(TO),material)"
+
 test: $(VENV)/.developer  ## all tests
 	@$(BIN)/python -m pytest $(if $(TESTS),$(TESTS),-n 2)
 
@@ -62,6 +68,7 @@ docs: $(VENV)/.developer  ## the figures and tables in docs/ (needs ../shared/da
 	@$(BIN)/python -m benchmarks.reflectance
 	@$(BIN)/python -m benchmarks.skin
 	@$(BIN)/python -m benchmarks.shape
+	@$(BIN)/python -m benchmarks.stimuli
 	@$(BIN)/python -m benchmarks.relighting
 	@$(BIN)/python -m benchmarks.alignment
 	@$(BIN)/python -m benchmarks.moving

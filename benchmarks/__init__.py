@@ -10,7 +10,8 @@
     reflectance   albedo against truth
     skin          pigments against truth and measured skin
     shape         height maps and meshes
-    relighting    a found surface under other lights
+    relighting    gloss, and a found surface under other lights
+    stimuli       matched sets, eyes and morphs
 
 Those from near_light on write their tables into docs/ (`pages.py`).
 """

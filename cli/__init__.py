@@ -1,18 +1,26 @@
 """The `lightstage` command: one file a command family; the only place that joins everything.
 
-    main.py      the parser, the errors and the exit codes
-    show.py      what a person sees: tables, progress, warnings
-    sessions.py  import, sessions, calibration
-    run.py       run, normals
-    look.py      status, why, graph, path
-    keep.py      verify, gc
-    export.py    export
-    sheet.py     the contact sheet
-    demo.py      demo: the virtual rig as a capture
-    material.py  material: maps and a mesh for renderers
-    relight.py   relight: the subject under other lights
-    pictures.py  EXR and PNG whose colour is said; environment maps
-    deliver.py   files for a folder of the user's
+    main.py       the parser, the errors and the exit codes
+    show.py       what a person sees: tables, progress, warnings
+
+    sessions.py   import, sessions, calibration
+    run.py        run, normals, performance
+    look.py       status, why, graph, path
+    keep.py       verify, gc
+    calibrate.py  calibrate, with calibration_report.py
+    sequence.py   sequence: what to show, image by image
+    demo.py       demo: the virtual rig as a capture
+
+    sheet.py      the contact sheet
+    alignment.py  alignment: one set before and after
+    export.py     export, with film.py and mesh.py
+    skin.py       skin: pigment maps and spectra
+    shape.py      shape: from a capture to a mesh
+    stimuli.py    stimuli: matched sets, with stimulus_files.py and face_points.py
+    material.py   material: maps and a mesh for renderers
+    relight.py    relight: the subject under other lights
+    pictures.py   EXR and PNG whose colour is said; environment maps
+    deliver.py    files for a folder of the user's
 
 Modules are imported when their command is used: a fully cached run must not pay for the others.
 """
