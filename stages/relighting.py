@@ -27,7 +27,9 @@ from stages.visibility import visible
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
 
-SLACK_MM = 0.25
+SLACK_MM = 0.05
+"""As little as keeps a surface from shading itself: found surfaces are flatter than true ones where they are hollow, so
+their shadows are too small already."""
 EDGE_PX = 1.5
 FAR_MM = 1e7
 """Where distant lights are put: over a face their rays are parallel, and as strong, to some hundred thousandths."""
