@@ -16,13 +16,12 @@ import numpy as np
 import OpenImageIO
 import xarray
 from numpy.typing import NDArray
-from skimage.metrics import structural_similarity
 
 from benchmarks.accuracy import DATA, DOCS, Bench, truth_of
 from benchmarks.near_light import Subject
 from hw.virtual_rig import Shot, radiance
 from stages.colour import encode_srgb, linear_srgb_matrix
-from stages.relighting import Lamps, Surface, relight
+from stages.relighting import Lamps, Likeness, Surface, compare, relight
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
@@ -71,19 +70,9 @@ class Head:
         ]
         return np.stack([m.diffuse[..., 0] for m in made]), np.stack([m.specular[..., 0] for m in made])
 
-    def compared(self, made: Array, truth: Array) -> list[tuple[float, float]]:
+    def compared(self, made: Array, truth: Array) -> list[Likeness]:
         """PSNR (dB) and SSIM of each light in front."""
         return [compare(picture, truth[k], self.mask) for picture, k in zip(made, self.front, strict=True)]
-
-
-def compare(picture: Array, truth: Array, mask: Array) -> tuple[float, float]:
-    """PSNR (dB) and SSIM inside a mask; the peak is the 99.9th percentile of the truth there."""
-    peak = float(np.percentile(truth[mask], 99.9))
-    made, true = np.where(mask, np.nan_to_num(picture), 0.0), np.where(mask, truth, 0.0)
-    error = float(((made - true)[mask] ** 2).mean())
-    options = {"data_range": peak, "gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
-    _, local = structural_similarity(made, true, full=True, **options)
-    return float(10 * np.log10(peak**2 / error)), float(local[mask].mean())
 
 
 def table(head: Head) -> list[str]:
@@ -159,8 +148,8 @@ def gloss_table(bench: Bench) -> list[str]:
     return lines
 
 
-def _row(label: str, diffuse: list[tuple[float, float]], both: list[tuple[float, float]] | None) -> str:
-    def cells(values: list[tuple[float, float]]) -> str:
+def _row(label: str, diffuse: list[Likeness], both: list[Likeness] | None) -> str:
+    def cells(values: list[Likeness]) -> str:
         psnr, ssim = np.array(values).T
         return f"{psnr.mean():.2f}, {psnr.min():.2f} | {(psnr > 30).sum()} of {len(psnr)} | {ssim.mean():.3f}"
 

@@ -5,6 +5,8 @@ that name where the lights item has it. Light 1 makes a white surface that faces
 their strength everywhere, the rig's have their power at the lights' mean distance from the stage's centre, and
 under an environment of radiance 1 a white surface that sees all of it shows 1.
 
+Where the session has a picture of its own under a light that is asked for, the two are compared.
+
 Light is worked out in linear Rec. 709, with the gloss where it was measured, cast shadows, and light bounced once
 (`stages/relighting.py`). An environment is some hundred distant lights, by median cut.
 """
@@ -38,6 +40,8 @@ LIGHTS = 256
 _BRIGHT, _SHOWN = 99.5, 0.9
 """The exposure where none is given: this percentile of the brightest picture shows as so much of white."""
 _FPS = 12.0
+_LUMINANCE = (0.2126, 0.7152, 0.0722)
+"""Of linear Rec. 709."""
 _THUMB_PX, _GAP, _TITLE = 320, 8, 24
 
 
@@ -106,6 +110,9 @@ class Row(NamedTuple):
     """Its 99.5th percentile."""
     clipped: float
     """Share of the subject where a channel of the PNG is at its end."""
+    psnr_db: float | None = None
+    """Against the session's own picture under that light, in luminance; None where it has none."""
+    ssim: float | None = None
 
 
 def handle_relight(options: argparse.Namespace, screen: Screen) -> int:
@@ -131,7 +138,8 @@ def handle_relight(options: argparse.Namespace, screen: Screen) -> int:
     material = read_material(options, store, nodes)
     surface = surface_of(material)
     with delivery.making() as work:
-        files, rows = _write_pictures(work, material, surface, setups, options.exposure, screen)
+        taken = _taken(material, setups, store) if options.led else {}
+        files, rows = _write_pictures(work, material, surface, setups, options.exposure, taken, screen)
         if options.turn:
             files |= _write_film(work, material, surface, setups[0], environment, rows[0].exposure, options, screen)
         (work / TABLE).write_text(_as_csv(rows), encoding="utf-8")
@@ -148,14 +156,7 @@ def handle_relight(options: argparse.Namespace, screen: Screen) -> int:
             "results": dict(material.recipes),
         }
         made = delivery.settle(work, document, files)
-    screen.table(
-        ("picture", "lights", "exposure", "median", "99.5 %", "clipped"),
-        [
-            (*row[:2], f"{row.exposure:.4g}", f"{row.median:.4f}", f"{row.bright:.4f}", f"{row.clipped:.2%}")
-            for row in rows
-        ],
-        right=(2, 3, 4, 5),
-    )
+    _say_rows(rows, screen)
     if material.gloss is None:
         screen.warn("the capture is not polarised, so the pictures have no gloss")
     screen.say(f"{len(made)} files in {options.to}; {options.to / SHEET} shows the pictures")
@@ -163,6 +164,21 @@ def handle_relight(options: argparse.Namespace, screen: Screen) -> int:
         {**summary, "files": [str(file) for file in made], "pictures": [row._asdict() for row in rows], **document}
     )
     return 0
+
+
+def _say_rows(rows: Sequence[Row], screen: Screen) -> None:
+    compared = any(row.psnr_db is not None for row in rows)
+    cells = [
+        [*row[:2], f"{row.exposure:.4g}", f"{row.median:.4f}", f"{row.bright:.4f}", f"{row.clipped:.2%}"]
+        for row in rows
+    ]
+    if compared:
+        for row, line in zip(rows, cells, strict=True):
+            line += ["", ""] if row.psnr_db is None else [f"{row.psnr_db:.1f} dB", f"{row.ssim:.3f}"]
+    head = ["picture", "lights", "exposure", "median", "99.5 %", "clipped", *(["PSNR", "SSIM"] if compared else [])]
+    screen.table(head, cells, right=range(2, len(head)))
+    if compared:
+        screen.say("PSNR and SSIM: luminance, against the session's own pictures under these lights, noise and all")
 
 
 def _check(options: argparse.Namespace) -> None:
@@ -306,6 +322,31 @@ def _rig(item: Mapping[str, Any]) -> "dict[str, Lamps]":
     return every
 
 
+def _taken(material: Material, setups: Sequence[Setup], store: Store) -> "dict[str, NDArray[np.float64]]":
+    """The session's own pictures under the lights of setups, (y, x) luminance, NaN where not valid, by name.
+
+    None of a session without an absolute scale, which does not say how bright they ought to be.
+    """
+    import numpy as np
+
+    from stages.colour import linear_srgb_matrix
+    from store.grid import open_dataset
+    from store.results import current_path
+
+    stack = open_dataset(current_path(material.session, "stack", store))["radiance"]
+    if not material.absolute or "illumination" not in stack.dims:
+        return {}
+    have = [str(name) for name in stack["illumination"].values]
+    weights = np.array(_LUMINANCE) @ linear_srgb_matrix(material.bands_nm, material.widths_nm)
+    return {
+        setup.name: np.tensordot(
+            weights, stack.isel(illumination=have.index(setup.name)).values.astype(np.float64).sum(axis=1), 1
+        )
+        for setup in setups
+        if setup.name in have
+    }
+
+
 def surface_of(material: Material) -> "Surface":
     """What is lit. Colours outside Rec. 709 come to its border, and holes in the gloss take what is nearest."""
     import numpy as np
@@ -329,13 +370,18 @@ def _write_pictures(
     surface: "Surface",
     setups: Sequence[Setup],
     exposure: float | None,
+    taken: "Mapping[str, NDArray[np.float64]]",
     screen: Screen,
 ) -> tuple[dict[str, dict[str, Any]], list[Row]]:
-    """EXR files as they come, then the PNGs, when the exposure is known; returns what they are, and the table."""
+    """EXR files as they come, then the PNGs, when the exposure is known; returns what they are, and the table.
+
+    Args:
+        taken: the session's own pictures, by name of the setup, (y, x) luminance.
+    """
     import numpy as np
 
     from cli.pictures import COLOUR, png16, rgb, write_exr
-    from stages.relighting import relight
+    from stages.relighting import compare, relight
 
     known = material.known
     files: dict[str, dict[str, Any]] = {}
@@ -375,7 +421,12 @@ def _write_pictures(
             "encoding": "sRGB, 16 bits, alpha straight",
             "exposure": exposure,
         }
-        luminance = values @ np.array([0.2126, 0.7152, 0.0722])
+        luminance = values @ np.array(_LUMINANCE)
+        alike = None
+        if setup.name in taken:
+            whole = np.zeros(known.shape)
+            whole[known] = luminance
+            alike = compare(whole, taken[setup.name], known & np.isfinite(taken[setup.name]))
         clipped = float((exposure * values > 1).any(axis=1).mean())
         rows.append(
             Row(
@@ -385,6 +436,7 @@ def _write_pictures(
                 float(np.median(luminance)),
                 float(np.percentile(luminance, _BRIGHT)),
                 clipped,
+                *(alike or ()),
             )
         )
     return files, rows
@@ -461,8 +513,7 @@ def _write_sheet(work: Path, rows: Sequence[Row]) -> None:
 def _as_csv(rows: Sequence[Row]) -> str:
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
-    table.writerow(["picture", "lights", "exposure", "median", "percentile_99_5", "clipped"])
+    table.writerow(["picture", "lights", "exposure", "median", "percentile_99_5", "clipped", "psnr_db", "ssim"])
     for row in rows:
-        numbers = (row.exposure, row.median, row.bright, row.clipped)
-        table.writerow([row.picture, row.lights, *(f"{number:.6g}" for number in numbers)])
+        table.writerow([*row[:2], *("" if number is None else f"{number:.6g}" for number in row[2:])])
     return text.getvalue()

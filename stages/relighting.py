@@ -17,6 +17,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from skimage.metrics import structural_similarity
 
 from dag.stage import StageError
 from stages.interreflection import Tiles
@@ -28,8 +29,7 @@ Array = NDArray[np.float64]
 Image = NDArray[np.float32]
 
 SLACK_MM = 0.05
-"""As little as keeps a surface from shading itself: found surfaces are flatter than true ones where they are hollow, so
-their shadows are too small already."""
+"""As little as keeps a surface from shading itself: hollows are found too flat, so shadows are small already."""
 EDGE_PX = 1.5
 FAR_MM = 1e7
 """Where distant lights are put: over a face their rays are parallel, and as strong, to some hundred thousandths."""
@@ -139,6 +139,31 @@ def relight(
     out = np.full((2, *known.shape, channels), np.nan, np.float32)
     out[0, known], out[1, known] = surface.albedo[known] * arrives, shine
     return Relit(out[0], out[1])
+
+
+class Likeness(NamedTuple):
+    """How near a relit picture is to a true one."""
+
+    psnr_db: float
+    ssim: float
+
+
+def compare(picture: NDArray[np.floating], truth: NDArray[np.floating], mask: NDArray[np.bool_]) -> Likeness:
+    """PSNR and SSIM inside a mask.
+
+    The peak is the 99.9th percentile of the truth there; no gain is fitted. SSIM (Wang et al. 2004,
+    doi:10.1109/TIP.2003.819861) has a Gaussian window of 1.5 px; its mean is over the mask, outside of which
+    both pictures are 0.
+
+    Args:
+        picture, truth: (y, x) radiance. mask: (y, x), not empty.
+    """
+    peak = float(np.percentile(truth[mask], 99.9))
+    made, true = (np.where(mask, np.nan_to_num(p), 0.0).astype(np.float64) for p in (picture, truth))
+    error = float(((made - true)[mask] ** 2).mean())
+    options = {"data_range": peak, "gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
+    _, local = structural_similarity(made, true, full=True, **options)
+    return Likeness(float(10 * np.log10(peak**2 / max(error, 1e-30))), float(local[mask].mean()))
 
 
 def _softened(seen: Image, known: NDArray[np.bool_], sigma: float) -> Image:

@@ -14,12 +14,13 @@ import cv2
 import numpy as np
 import OpenEXR
 import pytest
+import xarray
 from numpy.typing import NDArray
 from PIL import Image
 
 from cli.pictures import png16, read_environment
 from cli.relight import direction, turned
-from hw.virtual_rig import Shot, radiance
+from hw.virtual_rig import Shot, capture, radiance
 from stages.colour import decode_srgb, linear_srgb_matrix
 from store.errors import RequestError
 from tests.cli.test_material import Exr
@@ -28,6 +29,7 @@ from tests.scenes import STATIC, light_places, near_ball, write_capture
 
 Lightstage = Callable[..., Answer]
 SHOT = Shot(width=120, height=92)
+WIDTHS_NM = (17, 17, 20, 16, 10, 15)
 AP1 = (0.713, 0.293, 0.165, 0.83, 0.128, 0.044, 0.32168, 0.33767)
 EXPOSURE, TRANSMISSION, ALBEDO = 120.0, 0.9, 0.6
 
@@ -125,7 +127,7 @@ def test_a_led_is_what_the_rig_shows_of_it(lightstage: Lightstage, head: Path, t
     assert answer.code == 0, answer.err
     made, both = Exr(to / "L25.exr"), Exr(to / "L16+L25.exr")
     diffuse, specular = (part[0] for part in radiance(SHOT, ["L25"]))
-    matrix = linear_srgb_matrix(SHOT.bands_nm, [17, 17, 20, 16, 10, 15])
+    matrix = linear_srgb_matrix(SHOT.bands_nm, WIDTHS_NM)
     true = np.tensordot(matrix, diffuse + specular, 1)
     inside = cv2.erode(made["A"], np.ones((3, 3))) == 1
     for i, channel in enumerate("RGB"):
@@ -139,6 +141,31 @@ def test_a_led_is_what_the_rig_shows_of_it(lightstage: Lightstage, head: Path, t
         )
     assert (both["R"] >= made["R"] - 1e-6).all()
     assert both["R"][inside].mean() > 1.5 * made["R"][inside].mean()
+
+
+def test_the_session_s_own_picture_under_a_light_is_compared(
+    lightstage: Lightstage, kept: Path, tmp_path: Path
+) -> None:
+    folder = capture(Shot(session="lights", width=120, height=92, sequence=(*STATIC, "L25")), tmp_path / "lights")
+    words = ("--led", "L25", "--led", "L16", "--to", tmp_path / "out", "--json")
+    answer = lightstage("relight", folder, *words, store=kept)
+    assert answer.code == 0, answer.err
+    own, other = answer.json["pictures"]
+    assert (other["psnr_db"], other["ssim"]) == (None, None)
+    made = Exr(tmp_path / "out" / "L25.exr")
+    inside = made["A"] == 1
+    stack = xarray.open_zarr(answer.json["nodes"]["stack"]["path"], chunks=None).radiance.sel(illumination="L25")
+    matrix = linear_srgb_matrix(SHOT.bands_nm, WIDTHS_NM)
+    both = stack.sum("component", skipna=False).values.astype(float)
+    true = np.tensordot((0.2126, 0.7152, 0.0722) @ matrix, both, 1)
+    inside &= np.isfinite(true)
+    luminance = made.pixels[..., :3].astype(float) @ (0.2126, 0.7152, 0.0722)
+    peak = np.percentile(true[inside], 99.9)
+    error = np.sqrt(((luminance - true)[inside] ** 2).mean())
+    assert own["psnr_db"] == pytest.approx(20 * np.log10(peak / error), abs=0.01)
+    # a light alone has a tenth of the counts under all of them, and its picture's noise is in both figures
+    assert own["psnr_db"] > 22
+    assert 0.5 < own["ssim"] < 1
 
 
 def test_files_for_the_eye(lightstage: Lightstage, head: Path, tmp_path: Path) -> None:

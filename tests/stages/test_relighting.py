@@ -8,7 +8,7 @@ import pytest
 from dag.stage import StageError
 from stages.microfacets import at_normal_incidence
 from stages.pinhole import Pinhole
-from stages.relighting import Lamps, Surface, median_cut, relight
+from stages.relighting import Lamps, Surface, compare, median_cut, relight
 from tests.scenes import LIGHT_MM, light_places, near_ball
 
 INDEX = 1.4
@@ -118,6 +118,19 @@ def test_directions_are_those_of_openexr(row: int, column: int, wanted: tuple[fl
     environment[row, column] = 1
     directions, _ = median_cut(environment, 8)
     np.testing.assert_allclose(directions[0], wanted, atol=0.15)  # half a pixel of 11 degrees
+
+
+def test_likeness_by_hand() -> None:
+    truth = np.zeros((16, 16))
+    truth[:, 8:] = 1
+    mask = np.ones(truth.shape, bool)
+    alike = compare(truth + 0.1, truth, mask)
+    assert alike.psnr_db == pytest.approx(20)  # an error of a tenth of the peak
+    assert alike.ssim < 1
+    assert compare(truth, truth, mask).ssim == pytest.approx(1)
+    mask[:, :8] = False
+    outside = np.where(mask, truth + 0.1, 7)
+    assert compare(outside, truth, mask).psnr_db == pytest.approx(20)
 
 
 def test_what_cannot_be_relit_is_refused() -> None:
