@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from benchmarks.accuracy import DATA, DOCS, Bench, truth_of
 from benchmarks.near_light import Subject
+from benchmarks.pages import put
 from hw.virtual_rig import Shot, radiance
 from stages.colour import encode_srgb, linear_srgb_matrix
 from stages.relighting import Lamps, Likeness, Surface, compare, relight
@@ -245,18 +246,9 @@ def main() -> None:
         return
     with tempfile.TemporaryDirectory() as folder:
         bench = Bench(Path(folder) / "store")
-        _put("gloss", gloss_table(bench))
-        _put("relighting", table(Head(bench)))
-
-
-def _put(name: str, lines: list[str]) -> None:
-    """Lines between two marks of the page."""
-    page = DOCS / "methods" / "relighting.md"
-    first, last = f"<!-- {name} -->\n", f"<!-- end of {name} -->"
-    before, _, rest = page.read_text(encoding="utf-8").partition(first)
-    page.write_text(
-        before + first + "\n" + "\n".join(lines) + "\n\n" + last + rest.partition(last)[2], encoding="utf-8"
-    )
+        page = DOCS / "methods" / "relighting.md"
+        put(page, "gloss", gloss_table(bench))
+        put(page, "relighting", table(Head(bench)))
 
 
 if __name__ == "__main__":
