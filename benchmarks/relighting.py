@@ -165,7 +165,7 @@ SHOWN = ("L16", "L06", "L17")
 
 
 def sky(rows: int = 64) -> Array:
-    """(y, x, rgb): a blue sky over brown ground, with a sun 3 degrees wide, up and to the right, behind the camera."""
+    """(y, x, rgb): a blue sky over brown ground, with a blurred sun of 10 degrees, up and to the right, behind the camera."""
     latitude = np.pi * (0.5 - (np.arange(rows)[:, None] + 0.5) / rows)
     longitude = np.pi * (1 - 2 * (np.arange(2 * rows)[None, :] + 0.5) / (2 * rows))
     x, z = (np.cos(latitude) * f(longitude) for f in (np.sin, np.cos))

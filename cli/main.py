@@ -53,6 +53,9 @@ class _Parser(argparse.ArgumentParser):
 
             options = re.findall(r"[\w.-]+", wrong[2])
             message = f"'{wrong[1]}' is not known{nearest(wrong[1], options)}"
+        lacking = re.fullmatch(r"argument (--[\w-]+): expected one argument", message)
+        if lacking:
+            message += f", or {lacking[1]}=-... where it begins with a minus"
         raise RequestError(
             f"{command + ': ' if command else ''}{message} (`{self.prog} --help` lists what there is)"
         )

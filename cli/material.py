@@ -69,7 +69,7 @@ class Material:
     edge: "NDArray[np.uint8]"
     camera: "Pinhole"
     gloss: "Gloss | None"
-    """None where the capture is not polarised."""
+    """None where the capture lacks one of the polarisations."""
     recipes: Mapping[str, str]
     """Node to the folder of its result."""
 
@@ -150,7 +150,7 @@ def handle_material(options: argparse.Namespace, screen: Screen) -> int:
         }
         made = delivery.settle(work, document, files)
     if material.gloss is None:
-        screen.warn("the capture is not polarised, so there is no specular intensity, roughness or specular normal")
+        screen.warn("the capture lacks one of the polarisations, so there are no specular maps and no roughness")
     if not material.absolute:
         screen.warn("the session has no lights or bands item, so 1 in the base colour is the brightest point")
     screen.table(("file", "what"), [(name, entry["what"]) for name, entry in files.items()])

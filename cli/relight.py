@@ -152,13 +152,15 @@ def handle_relight(options: argparse.Namespace, screen: Screen) -> int:
             "tracking": material.tracking,
             "frame": FRAME,
             "unit": "1 is a white surface that faces a light of strength 1",
-            "gloss": "as measured" if material.gloss is not None else "none: the capture is not polarised",
+            "gloss": "as measured"
+            if material.gloss is not None
+            else "none: the capture lacks one of the polarisations",
             "results": dict(material.recipes),
         }
         made = delivery.settle(work, document, files)
     _say_rows(rows, screen)
     if material.gloss is None:
-        screen.warn("the capture is not polarised, so the pictures have no gloss")
+        screen.warn("the capture lacks one of the polarisations, so the pictures have no gloss")
     screen.say(f"{len(made)} files in {options.to}; {options.to / SHEET} shows the pictures")
     screen.document(
         {**summary, "files": [str(file) for file in made], "pictures": [row._asdict() for row in rows], **document}

@@ -107,7 +107,7 @@ def test_under_white_light_from_everywhere_a_ball_shows_its_albedo(
     to = tmp_path / "out"
     answer = lightstage("relight", folder, "--environment", sky, "--to", to, "--json", store=kept)
     assert answer.code == 0, answer.err
-    assert "the capture is not polarised, so the pictures have no gloss" in answer.err
+    assert "the capture lacks one of the polarisations, so the pictures have no gloss" in answer.err
     made = Exr(to / "environment.exr")
     y, x = np.indices(made["A"].shape)
     radius = np.sqrt(made["A"].sum() / np.pi)
@@ -335,6 +335,7 @@ def test_eight_bits_are_no_radiance(tmp_path: Path) -> None:
     [
         ((), "no light is named; give --light, --led or --environment"),
         (("--light", "30,1"), "--light 30,1: expected AZIMUTH,ELEVATION,STRENGTH, such as 45,30,1"),
+        (("--light", "-30,9,1"), "--light: expected one argument, or --light=-... where it begins with a minus"),
         (("--light", "30,95,1"), "an elevation of at most 90"),
         (("--light", "30,9,nan"), "a strength above 0"),
         (("--led", "L99"), "--led L99: the rig has no light 'L99'"),
