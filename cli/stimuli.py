@@ -140,6 +140,8 @@ def _check(options: argparse.Namespace) -> None:
         for word in given.split(","):
             if word not in known:
                 raise RequestError(f"{what} {given}: '{word}' is not known{nearest(word, known)}")
+        if len(set(given.split(","))) < len(given.split(",")):
+            raise RequestError(f"{what} {given}: a word stands twice; each counts once")
     if "none" in options.match.split(",") and options.match != "none":
         raise RequestError(f"--match {options.match}: none stands alone")
     ranges = (
@@ -163,8 +165,9 @@ def _levels(text: str) -> list[float]:
         levels = [float(word) for word in text.split(",")]
     except ValueError:
         levels = [float("nan")]
-    if not all(0 <= level <= 1 for level in levels) or len(set(levels)) < len(levels):
-        raise RequestError(f"--levels {text}: expected different numbers from 0 to 1, such as 0,0.5,1")
+    # files are named by hundredths
+    if not all(0 <= level <= 1 for level in levels) or len({round(100 * level) for level in levels}) < len(levels):
+        raise RequestError(f"--levels {text}: expected numbers from 0 to 1 that differ by 0.01, such as 0,0.5,1")
     return levels
 
 

@@ -148,9 +148,9 @@ def _refined(flow: Array, first: Image, second: Image, weight: Array, spacing: f
         # the mean of both faces' slopes converges from farther away than either (Malis 2004)
         slope = (own + _slopes(moved)) / 2
         loss = weight.ravel() / (1 + (off**2).sum(axis=1) / _SOFT**2)
-        square = [[_summed(basis, loss * (a * b).sum(axis=1)) for b in slope] for a in slope]
+        xx, xy, yy = (_summed(basis, loss * (slope[i] * slope[j]).sum(axis=1)) for i, j in ((0, 0), (0, 1), (1, 1)))
         side = [basis.T @ (loss * (a * off).sum(axis=1)) + cost @ s for a, s in zip(slope, sheet, strict=True)]
-        hessian = scipy.sparse.bmat(square) + scipy.sparse.block_diag([cost, cost])
+        hessian = scipy.sparse.bmat([[xx + cost, xy], [xy, yy + cost]])
         step = scipy.sparse.linalg.spsolve(hessian.tocsc(), -np.concatenate(side)).reshape(2, -1)
         sheet = sheet + step
         flow = start + (basis @ sheet.T).T.reshape(flow.shape)

@@ -24,6 +24,8 @@ from tests.conftest import Answer
 
 Lightstage = Callable[..., Answer]
 SUBJECTS = ("one", "two")
+QUICK = ("--set", "relief.correct=lights")
+"""Near lights and shadows take most of the time, and nothing here is about how good the normals are."""
 
 
 @pytest.fixture(scope="module")
@@ -38,11 +40,14 @@ def heads(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def made(heads: Path, lightstage: Lightstage, tmp_path: Path) -> Callable[..., tuple[Answer, Path]]:
-    """The command on those heads, and the folder it was to write."""
+    """The command on those heads, and the folder it was to write; eyes are given unless a test finds them."""
+    eyes = tmp_path / "eyes.yaml"
+    eyes.write_text("".join(f"{name}: {{left_eye: [84, 68], right_eye: [120, 68]}}\n" for name in SUBJECTS))
 
-    def call(*words: str, folder: str = "set") -> tuple[Answer, Path]:
+    def call(*words: str, folder: str = "set", find: bool = False) -> tuple[Answer, Path]:
         to = tmp_path / folder
-        return lightstage("stimuli", *SUBJECTS, "--to", to, *words, "--json", store=heads), to
+        where = [] if find or "--points" in words else ["--points", eyes]
+        return lightstage("stimuli", *SUBJECTS, "--to", to, *QUICK, *where, *words, "--json", store=heads), to
 
     return call
 
@@ -114,6 +119,18 @@ def test_pictures_say_their_colour(made: Any) -> None:
         assert deep.dtype == np.uint16
         # a code value of sRGB is up to 2.3 grey levels of linear light wide, at white; rounding is half of it
         np.testing.assert_allclose(linear(coarse), deep / 257 @ [0.2126, 0.7152, 0.0722], atol=1.15)
+
+
+def test_what_does_not_fit_is_named_with_its_part(made: Any) -> None:
+    done, folder = made("--kinds", "shape", "--match", "spectrum", "--mean", "0.9", "--contrast", "0.3")
+    assert done.code == 0, done.err
+    for row in read(folder):
+        part = float(row["clipped"])
+        picture = np.asarray(Image.open(folder / row["file"]))
+        assert part > 0.05
+        assert np.count_nonzero((picture == 0) | (picture == 255)) / 3 > 0.02 * picture.shape[0] * picture.shape[1]
+        assert f"{row['file']} ({100 * part:.2g} %)" in done.err
+    assert "grey levels only, not to 0.5" in done.err
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
@@ -230,9 +247,11 @@ def test_a_morph_varies_one_and_keeps_the_other(made: Any) -> None:
 
 def test_a_morph_of_shape_keeps_the_texture_and_starts_and_ends_at_the_faces(made: Any) -> None:
     words = ("--match", "none", "--grey", "--encoding", "linear", "--background", "0.4")
-    morphed, folder = made("--morph", *SUBJECTS, "--levels", "0,0.5,1", "--kinds", "shape,texture", *words)
+    morphed, folder = made(
+        "--morph", *SUBJECTS, "--levels", "0,0.5,1", "--kinds", "shape,texture", *words, find=True
+    )
     assert morphed.code == 0, morphed.err
-    plain, own = made("--kinds", "shape,texture", *words, folder="own")
+    plain, own = made("--kinds", "shape,texture", *words, folder="own", find=True)
     assert plain.code == 0, plain.err
 
     def picture(at: Path, name: str) -> Any:
@@ -247,11 +266,11 @@ def test_a_morph_of_shape_keeps_the_texture_and_starts_and_ends_at_the_faces(mad
     assert np.abs(levels[0] - ends[0]).mean() < 0.03 * apart
     assert np.abs(levels[2] - ends[1]).mean() < 0.1 * apart
     assert 0.3 * apart < np.abs(levels[1] - ends[0]).mean() < 0.9 * apart
-    # a bent texture has the values of the first one's, not those of the other's
+    # a bent texture has the values of the first one's, not those of the other's; bending shows other parts of it
     texture = [np.median(picture(own, f"{name}_texture")[inner]) for name in SUBJECTS]
     last = np.median(picture(folder, "one-two-shape-100_texture")[inner])
     assert abs(texture[0] - texture[1]) > 0.02
-    assert last == pytest.approx(texture[0], abs=0.1 * abs(texture[0] - texture[1]))
+    assert last == pytest.approx(texture[0], abs=0.25 * abs(texture[0] - texture[1]))
 
 
 def test_the_same_set_is_not_written_twice_and_nothing_is_overwritten(made: Any) -> None:
@@ -281,10 +300,11 @@ def test_points_by_hand_decide_the_frame(made: Any, tmp_path: Path) -> None:
 
 
 def test_points_that_were_found_can_be_given_back(made: Any, heads: Path, lightstage: Lightstage) -> None:
-    done, folder = made("--kinds", "shape", "--match", "none")
+    done, folder = made("--kinds", "shape", "--match", "none", find=True)
     assert done.code == 0, done.err
+    assert "mean head" in done.err
     words = ("--kinds", "shape", "--match", "none", "--points", folder / "points.yaml", "--to", folder.parent / "2")
-    again = lightstage("stimuli", *SUBJECTS, *words, store=heads)
+    again = lightstage("stimuli", *SUBJECTS, *QUICK, *words, store=heads)
     assert again.code == 0, again.err
     for row in read(folder):
         one, other = (np.asarray(Image.open(at / row["file"])).astype(int) for at in (folder, folder.parent / "2"))
@@ -318,7 +338,9 @@ def test_wrong_points_are_named(made: Any, tmp_path: Path, text: str, says: str)
         (("--match", "none,histogram"), "none stands alone"),
         (("--kinds", "shapes"), "did you mean 'shape'"),
         (("--mean", "3"), "expected a number above 0"),
-        (("--levels", "0,2"), "different numbers from 0 to 1"),
+        (("--kinds", "shape,shape"), "stands twice"),
+        (("--levels", "0,2"), "numbers from 0 to 1"),
+        (("--levels", "0.501,0.502"), "differ by 0.01"),
         (("--morph", "one", "three"), "'three' is not among the sessions"),
         (("--morph", "one", "one"), "named twice"),
         (("--jspsych", "/nowhere"), "is no copy of jsPsych"),
@@ -333,7 +355,9 @@ def test_wrong_requests_are_named(made: Any, words: tuple[str, ...], says: str) 
 
 
 def test_a_sheet_of_lights(heads: Path, lightstage: Lightstage, tmp_path: Path) -> None:
-    done = lightstage("stimuli", "one", "--preview-lights", "--to", tmp_path / "sheet", "--json", store=heads)
+    done = lightstage(
+        "stimuli", "one", *QUICK, "--preview-lights", "--to", tmp_path / "sheet", "--json", store=heads
+    )
     assert done.code == 0, done.err
     (file,) = done.json["pictures"]
     assert np.asarray(Image.open(file)).std() > 20

@@ -21,8 +21,8 @@ def test_the_eyes_come_to_the_frames_eyes() -> None:
     assert matrix[0, 1] == pytest.approx(-matrix[1, 0])
 
 
-@settings(deadline=None)
-@given(st.floats(16, 400))
+@settings(deadline=None, max_examples=30)
+@given(st.floats(16, 200))
 def test_the_frame_follows_the_eyes(eyes_px: float) -> None:
     frame = Frame(eyes_px)
     left, right = frame.eyes
