@@ -37,6 +37,16 @@ def test_eyes_of_a_leaning_head_are_found() -> None:
     assert off.max() < 0.02 * np.linalg.norm(true[1] - true[0])
 
 
+@pytest.mark.data
+def test_eyes_of_a_scanned_head_are_found(data: Path) -> None:
+    """Its lids are closed; their corners and creases are read off the picture to a pixel, and eyes lie midway."""
+    truth = np.load(data / "rendered" / "static_A" / "truth" / "ground_truth_cam1.npz")
+    normal = np.where(truth["mask"], np.moveaxis(truth["normal"], 2, 0), np.nan).astype(np.float32)
+    found, _ = find_points(normal, "a")
+    np.testing.assert_allclose(found["left_eye"], [(147 + 181) / 2, (107 + 124) / 2], atol=2)
+    np.testing.assert_allclose(found["right_eye"], [(213 + 247) / 2, (108 + 124) / 2], atol=2)
+
+
 def test_what_is_written_is_read_again(tmp_path: Path) -> None:
     """Also names that YAML would take for numbers or truth values."""
     points = {
