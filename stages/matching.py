@@ -14,8 +14,9 @@ spectrum are measured on those, decoded to luminance again. What rounding change
                     luminance; equal luminance is ordered by the mean of the neighbourhood, then by place. Oval and
                     soft edge are ordered apart, so that the edge meets the background
     spectrum        the rotational average of the amplitude of the whole picture is the set's, and mean and contrast
-                    too: each ring of frequencies has one gain, found in rounds. With histogram, the histograms are
-                    equal but for the last small steps
+                    too: each ring of frequencies has one gain, found in rounds; then small steps on the stored
+                    picture, with a bend of the tones that holds the contrast of code values. With histogram, the
+                    histograms are equal but for these small steps
 
 The targets are means over the set.
 
@@ -45,6 +46,7 @@ PROMISED_LEVELS, PROMISED_SPECTRUM = 0.5, 0.01
 _ROUNDS, _SMALL_ROUNDS = 12, 120
 _LEVEL_ROUNDS = 4
 _STEP, _SMALL_STEP = 0.8, 0.5
+_SMALL_LIGHT = 1e-3
 _RIM = 8.0
 _WEIGHTS = np.array([8.0, 8.0, 1.0, 1.0])
 _EDGE_CLASSES = 4
@@ -361,8 +363,28 @@ def _with_spectrum(index: int, picture: Array, target: Array, setting: Setting, 
         more = (level.target[0] - found.figures.mean_linear) / TOP + np.real(
             np.fft.ifft2(now * np.where(ring < _LEAST_RING, 0, gain[ring] * uneven - 1))
         )
-        found = _measured(index, found.luminance + np.where(setting.oval > 0, more, 0), setting)
+        more = np.where(setting.oval > 0, more + _bend(found, level), 0)
+        found = _measured(index, found.luminance + more, setting)
     return best[1]
+
+
+def _bend(found: Matched, level: _Level) -> Array:
+    """(y, x) luminance to add for the contrast of code values to be right; mean and contrast of luminance stay.
+
+    It goes along the part of the code values that is on no line through luminance.
+    """
+    inside, encoding = level.setting.oval > 0, level.setting.encoding
+    light = np.clip(found.luminance[inside], 0, 1)
+    code = encoding.code(light)
+    middle, spread = light - light.mean(), code - code.mean()
+    along = spread - middle * ((spread @ middle) / (middle @ middle))
+    along /= max(float(np.abs(along).max()), 1e-9)
+    slope = (encoding.code(light + _SMALL_LIGHT * along).std() - code.std()) / _SMALL_LIGHT
+    out = np.zeros(found.luminance.shape)
+    if slope > 1:  # code values that are linear in luminance have none
+        lacking = level.target[3] - found.figures.contrast_code
+        out[inside] = along * np.clip(_SMALL_STEP * lacking / slope, -0.01, 0.01)
+    return out
 
 
 def _spread(found: Matched, level: _Level) -> float:
