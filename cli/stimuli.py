@@ -25,6 +25,7 @@ NODE = "stimulus"
 _LUMINANCE = (0.2126, 0.7152, 0.0722)
 _AZIMUTHS, _ELEVATIONS = (-60, -40, -20, 0, 20, 40, 60), (45, 30, 15, 0, -15)
 _ROLL_DEG = 3.0
+_LEAST_EYES_PX = 15.0
 _WORTH_SAYING = 0.001
 """Part of the oval that may be filled without a word; the table has every part."""
 _REMEDY = "; a smaller --contrast, or leaving out the picture that is most unlike the others, helps"
@@ -123,6 +124,11 @@ def handle_stimuli(options: argparse.Namespace, screen: Screen) -> int:
     names = [session_of(given, store, screen) for given in options.sessions]
     if len(set(names)) < len(names):
         raise RequestError("a session is named twice; a set holds each once")
+    lacking = [name for name in options.morph or () if name not in names]
+    if lacking:
+        raise RequestError(f"--morph: '{lacking[0]}' is not among the sessions named ({', '.join(names)})")
+    if options.morph and options.morph[0] == options.morph[1]:
+        raise RequestError(f"--morph: '{options.morph[0]}' is named twice; between a face and itself is nothing")
     opened = {name: _computed(name, options, store, screen) for name in names}
     if options.preview_lights:
         return _preview(opened, options, store, screen)
@@ -148,7 +154,7 @@ def _check(options: argparse.Namespace) -> None:
         ("--mean", options.mean, 0, 1),
         ("--contrast", options.contrast, 0, 0.5),
         ("--background", options.background, 0, 1),
-        ("--eyes-px", options.eyes_px, 16, 2000),
+        ("--eyes-px", options.eyes_px, _LEAST_EYES_PX, 2000),
         ("--distance-cm", options.distance_cm, 1, 10000),
         ("--pixels-per-cm", options.pixels_per_cm, 1, 10000),
     )
@@ -188,7 +194,9 @@ def _computed(name: str, options: argparse.Namespace, store: Store, screen: Scre
     paths = [done[n]["path"] for n in (NODE, node.above[0])]
     if None in paths:
         raise RequestError(f"session '{name}': --frames leaves nothing to make stimuli of")
-    return open_dataset(Path(paths[0])), open_dataset(Path(paths[1])), Path(paths[0]).name
+    pictures, relief = (open_dataset(Path(path)) for path in paths)
+    # not every tracking frame that has normals has a reflectance
+    return pictures, relief.sel(tracking=pictures.tracking.values), Path(paths[0]).name
 
 
 def _points(
@@ -237,6 +245,11 @@ def _framed(
 
     eyes = {name: np.stack([found[eye] for eye in EYES]) for name, (found, _) in points.items()}
     apart = [float(np.linalg.norm(pair[1] - pair[0])) for pair in eyes.values()]
+    if not options.eyes_px and np.mean(apart) < _LEAST_EYES_PX:
+        raise RequestError(
+            f"the eyes are {np.mean(apart):.1f} pixels apart, too near for a face: mend the points, or say with "
+            "--eyes-px how far apart they shall be"
+        )
     frame = Frame(float(options.eyes_px or round(float(np.mean(apart)))))
     oval = frame.oval() > 0
     subjects, sources = [], {}
@@ -279,12 +292,7 @@ def _morphed(
     from stages.shading import parse_lights, shade
 
     by_name = {subject.name: subject for subject in subjects}
-    lacking = [name for name in options.morph if name not in by_name]
-    if lacking:
-        raise RequestError(f"--morph: '{lacking[0]}' is not among the sessions named ({', '.join(by_name)})")
     a, b = (by_name[name] for name in options.morph)
-    if a is b:
-        raise RequestError(f"--morph: '{a.name}' is named twice; between a face and itself there is nothing")
     if a.attrs["cast_shadows"] or b.attrs["cast_shadows"]:
         raise RequestError("--morph: between two faces there is no depth; leave stimulus.cast_shadows out")
     if a.images["texture"].shape != b.images["texture"].shape:
