@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from benchmarks.accuracy import DATA, DOCS, Bench, angle, truth_of
 from benchmarks.pages import put
-from stages import integration, interreflection, near_light, self_consistent, subject_mask, visibility
+from stages import integration, interreflection, loose_parts, near_light, self_consistent, subject_mask, visibility
 from stages.integration import integrate
 from stages.near_light import Lights, Measured
 from stages.pinhole import Pinhole
@@ -163,6 +163,7 @@ def ablation(head: Subject) -> list[str]:
     without: list[tuple[str, Any, dict[str, Any]]] = [
         ("body not continued below the picture", visibility, {"_continued": lambda depth, _: (depth, 0)}),
         ("body without a back", visibility, {"_backs": lambda front: np.full(front.shape, 1e9)}),
+        ("parts left where normals put them", loose_parts, {"_MOST": 0}),
         ("distance from all points, not open ones", self_consistent, {"_OPEN": -1.0}),
         ("depth by plain least squares", self_consistent, {"integrate": partial(integrate, stiffness=0.0)}),
         ("bounces by radiosity, not spectral", self_consistent, {"_SPECTRAL_BANDS": 99}),

@@ -17,6 +17,7 @@ that a stage calls; they count in its key.
     resampling.py            dark, flat, and one cubic resampling
     rig_normals.py           normals with a model of the rig's lights, put together from the next four
     openness.py              how much light a point sees, by the length of its light's mean direction
+    loose_parts.py           parts that normals hold to each other only loosely, placed by their light
     near_light.py            how a near-light rig shades a point, and the normal that this tells
     self_consistent.py       depth, shadows and bounced light, found together with the normals
     integration.py           depth from normals

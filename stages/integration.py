@@ -24,6 +24,8 @@ STIFFNESS = 2.0
 _GRAZING = 0.03
 """Least |n . r|: a surface seen edge-on says nothing of its depth."""
 _TOLERANCE = 3e-4
+_LOOSE = 1e-9
+"""Stiffness of what nothing holds: parts that touch nothing, and the free mean."""
 _ENOUGH = 1e-3
 """The rounds end when the energy changes by less than this part of it."""
 
@@ -53,25 +55,67 @@ def integrate(
     out = np.full(mask.shape, np.nan)
     if not mask.any():
         return out
-    n = normal[mask]
-    facing = np.minimum(np.einsum("ij,ij->i", n, rays[mask]), -_GRAZING)
-    sides = [_side(n, facing, mask, rays, step) for step in ((0, 1), (0, -1), (1, 0), (-1, 0))]
-    z = np.zeros(n.shape[0]) if start is None else np.where(np.isfinite(start), start, 0)[mask]
+    sides = _sides(normal, mask, rays)
+    z = np.zeros(int(mask.sum())) if start is None else np.where(np.isfinite(start), start, 0)[mask]
     pixel = _pixel(rays)
-    weights = [np.full(n.shape[0], 0.5)] * 4
+    weights = [np.full(z.size, 0.5)] * 4
     before = np.inf
     for _ in range(max(1, rounds)):
         z = _solve(sides, weights, z)
         misfit = [((matrix @ z - right) / pixel) ** 2 for matrix, right in sides]
-        moved = [((matrix @ z) / pixel) ** 2 for matrix, _ in sides]
         energy = float(sum((w * e).sum() for w, e in zip(weights, misfit, strict=True)))
         if abs(before - energy) < _ENOUGH * energy or stiffness == 0:
             break
         before = energy
-        right_wins, down_wins = _better(moved[1] - moved[0], stiffness), _better(moved[3] - moved[2], stiffness)
-        weights = [right_wins, 1 - right_wins, down_wins, 1 - down_wins]
+        weights = _weights(sides, z, pixel, stiffness)
     out[mask] = z - z.mean()
     return out
+
+
+def softest(
+    normal: Array, mask: NDArray[np.bool_], rays: Array, log_depth: Array, count: int
+) -> tuple[Array, Array, float]:
+    """The shapes that normals hold least, beside the factor of the whole.
+
+    Args:
+        normal, mask, rays: as of `integrate`; the mask in one piece.
+        log_depth: (y, x), by which breaks are told.
+        count: how many shapes.
+
+    Returns:
+        (number, point) shapes, the softest first, each of unit length; the energy that a unit of each costs
+        (number,); the variance of the equations' misfit.
+    """
+    import scipy.sparse
+    from scipy.sparse.linalg import eigsh
+
+    sides = _sides(normal, mask, rays)
+    z = log_depth[mask]
+    weights = _weights(sides, z, _pixel(rays), STIFFNESS)
+    system: Any = scipy.sparse.identity(z.size, format="csr") * _LOOSE
+    misfit = 0.0
+    for (matrix, right), weight in zip(sides, weights, strict=True):
+        system = system + matrix.T @ scipy.sparse.diags(weight) @ matrix
+        misfit += float((weight * (matrix @ z - right) ** 2).sum())
+    count = min(count, z.size - 2)
+    # from the same vector each time, or the solver would draw one
+    energy, shapes = eigsh(system.tocsc(), k=count + 1, sigma=-100 * _LOOSE, which="LM", v0=np.ones(z.size))
+    order = np.argsort(energy, kind="stable")[1:]
+    return np.ascontiguousarray(shapes[:, order].T), energy[order], misfit / (2 * z.size)
+
+
+def _sides(normal: Array, mask: NDArray[np.bool_], rays: Array) -> list[tuple[Any, Array]]:
+    """The equations to the right, left, down and up."""
+    n = normal[mask]
+    facing = np.minimum(np.einsum("ij,ij->i", n, rays[mask]), -_GRAZING)
+    return [_side(n, facing, mask, rays, step) for step in ((0, 1), (0, -1), (1, 0), (-1, 0))]
+
+
+def _weights(sides: list[tuple[Any, Array]], z: Array, pixel: float, stiffness: float) -> list[Array]:
+    """Of each side's equations: the side towards which depth changes less wins."""
+    moved = [((matrix @ z) / pixel) ** 2 for matrix, _ in sides]
+    right_wins, down_wins = _better(moved[1] - moved[0], stiffness), _better(moved[3] - moved[2], stiffness)
+    return [right_wins, 1 - right_wins, down_wins, 1 - down_wins]
 
 
 def _pixel(rays: Array) -> float:
@@ -123,8 +167,8 @@ def _solve(sides: list[tuple[Any, Array]], weights: list[Array], start: Array) -
     from scipy.sparse.linalg import cg
 
     size = start.size
-    system: Any = scipy.sparse.identity(size, format="csr") * 1e-9  # parts that touch nothing, and the free mean
-    right = 1e-9 * start
+    system: Any = scipy.sparse.identity(size, format="csr") * _LOOSE
+    right = _LOOSE * start
     for (matrix, side), weight in zip(sides, weights, strict=True):
         weighted = matrix.T @ scipy.sparse.diags(weight)
         system = system + weighted @ matrix

@@ -3,8 +3,8 @@
 The model of `near_light.py` needs to know where each point is and which lights it sees; that follows from depth,
 and depth from the normals. So in rounds:
 
-    normals -> depth (`integration.py`) -> distance -> visibility (`visibility.py`) -> bounces
-    (`interreflection.py`) -> normals
+    normals -> depth (`integration.py`) -> loose parts (`loose_parts.py`) -> distance
+    -> visibility (`visibility.py`) -> bounces (`interreflection.py`) -> normals
 
 - The distance comes from the light itself: |m| / r_c must be what the model predicts, and the residual crosses
   zero at one distance. Its median is taken over open points, which see nearly all of their light, because
@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from dag.stage import StageError
 from stages.integration import integrate
 from stages.interreflection import Tiles, without_bounces
+from stages.loose_parts import LooseParts
 from stages.near_light import Lights, Measured, Response, binned, fused, invert
 from stages.pinhole import Pinhole
 from stages.visibility import visible
@@ -40,6 +41,8 @@ _LEAST_PART_PX = 400
 _OPEN = 0.98
 """A point is open when this much of its light reaches it."""
 _SPECTRAL_BANDS = 3
+_FIRST_SWING = 2
+"""The round from which parts are placed: before, shadows and bounced light are not in the norm yet."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +65,8 @@ class Geometry:
     """Median depth of the mask."""
     distance_found: bool
     """False when the norm did not tell it, and the stage's centre was taken."""
+    loose: LooseParts | None = None
+    """What the light has placed beside the distance."""
 
     def without_bounces(self, measured: Measured, direct: Array) -> Measured:
         """The measurement with bounced light taken out; `direct` (y, x) is S."""
@@ -107,7 +112,12 @@ def _rounds(measured: Measured, mask: Mask, camera: Pinhole, lights: Lights, mod
     normal = _unit(one.vector[0][mask])
     response: Response | None = None
     for turn in range(ROUNDS[model]):
-        log_depth = integrate(_in_camera(normal, mask, camera), mask, camera.rays, start=log_depth)
+        turned = _in_camera(normal, mask, camera)
+        log_depth = integrate(turned, mask, camera.rays, start=log_depth)
+        if model != "near" and turn >= _FIRST_SWING:
+            loose = found.loose or LooseParts.of(turned, mask, camera, log_depth)
+            loose = loose.moved(log_depth, found.distance_mm, one, camera, lights)
+            log_depth, found = log_depth + loose.swing(), replace(found, loose=loose)
         found = _placed(found, log_depth, one, normal, camera, lights)
         points = camera.points(found.depth)
         if model != "near" and turn > 0:
@@ -252,6 +262,9 @@ def _at_full_size(
     normal = _filled(response.normal, one.vector[0][mask])
     start = np.where(mask, np.log(np.maximum(depth, 1.0)), np.nan)
     log_depth = integrate(_in_camera(normal, mask, camera), mask, camera.rays, start=start, rounds=3)
+    if found.loose is not None:
+        # what the light has told of the small pictures, integration does not know again
+        log_depth = log_depth + found.loose.spread(spread, mask).drawn(start - log_depth)
     # each part of the mask stays where the small pictures have put it
     _, parts = cv2.connectedComponents(mask.astype(np.uint8), connectivity=4)
     fine = np.full(mask.shape, np.nan)
