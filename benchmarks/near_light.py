@@ -287,26 +287,33 @@ def times(bench: Bench) -> list[str]:
 
 
 def main() -> None:
-    """Measure everything and write the page."""
-    argparse.ArgumentParser(description=__doc__).parse_args()
+    """Measure and write the tables."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    names = ("methods", "detail", "ablation", "sensitivity", "integration", "time")
+    parser.add_argument("--only", choices=names, help="measure and write this table alone")
+    only = parser.parse_args().only
     cv2.setNumThreads(1)
     with tempfile.TemporaryDirectory() as folder:
         bench = Bench(Path(folder) / "store")
-        subjects = {
-            "sphere": Subject(bench, "static_sphere"),
-            "cylinder": Subject(bench, "static_cylinder"),
-            "head": Subject(bench, "static_A"),
+        head = Subject(bench, "static_A")
+        works: dict[str, Callable[[], list[str]]] = {
+            "methods": lambda: methods(
+                bench,
+                {
+                    "sphere": Subject(bench, "static_sphere"),
+                    "cylinder": Subject(bench, "static_cylinder"),
+                    "head": head,
+                },
+            ),
+            "detail": lambda: details(bench, head),
+            "ablation": lambda: ablation(head),
+            "sensitivity": lambda: sensitivity(head),
+            "integration": lambda: integrations(head),
+            "time": lambda: times(bench),
         }
-        tables = {
-            "methods": methods(bench, subjects),
-            "detail": details(bench, subjects["head"]),
-            "ablation": ablation(subjects["head"]),
-            "sensitivity": sensitivity(subjects["head"]),
-            "integration": integrations(subjects["head"]),
-            "time": times(bench),
-        }
-    for name, lines in tables.items():
-        put(DOCS / "methods" / "near-light.md", name, lines)
+        for name in names:
+            if only in (None, name):
+                put(DOCS / "methods" / "near-light.md", name, works[name]())
 
 
 if __name__ == "__main__":
