@@ -377,14 +377,14 @@ def test_what_is_made_of_the_heads_surface(run: Run, data: Path) -> None:
     mask = truth["mask"]
     depth = xarray.open_zarr(run(capture, "shape"), chunks=None).depth_mm.values[0]
     off = (depth - truth["depth_mm"])[mask & np.isfinite(depth)]
-    # 2.6 % was measured; a surface without shadows and bounced light is at 8 %
-    assert np.abs(off - off.mean()).mean() < 0.03 * np.ptp(truth["depth_mm"][mask])
+    # 1.1 % was measured, 2.6 % with the neck where normals put it, 8 % without shadows and bounced light
+    assert np.abs(off - off.mean()).mean() < 0.02 * np.ptp(truth["depth_mm"][mask])
 
     albedo = xarray.open_zarr(run(capture, "reflectance"), chunks=None).reflectance.values[0]
     true = np.moveaxis(truth["albedo_bands"].astype(float), 2, 0)
     for found, wanted in zip(albedo, true, strict=True):
         known = mask & np.isfinite(found)
-        # 0.8 % at most was measured, 2.3 % with bounced light left in
+        # 1.0 % at most was measured, 2.6 % with bounced light left in
         assert np.median(found[known] / wanted[known]) == pytest.approx(1, abs=0.015)
     plain = xarray.open_zarr(run(capture, "reflectance", "reflectance.shading=none"), chunks=None)
     lights = np.load(data / capture / "truth" / "olat_noisefree_cam1.npz")["D"].astype(float).sum(axis=0)
@@ -395,7 +395,7 @@ def test_what_is_made_of_the_heads_surface(run: Run, data: Path) -> None:
     def tied(pictures: np.ndarray) -> float:
         return float(np.mean([np.corrcoef(picture[known], shading[known])[0, 1] for picture in pictures]))
 
-    # what should not be in a texture: 0.54 under constant light, 0.26 with shading taken out, the true albedo 0.20
+    # what should not be in a texture: 0.54 under constant light, 0.26 with it taken out, the true albedo 0.20
     assert tied(albedo) - tied(true) < 0.5 * (tied(plain.reflectance.values[0]) - tied(true))
     assert tied(albedo) < 0.5 * tied(plain.reflectance.values[0]) + 0.02
 
@@ -424,7 +424,7 @@ def test_the_heads_mesh_has_its_size_and_no_flipped_face(data: Path, tmp_path: P
     truth = np.load(folder / "truth" / "ground_truth_cam1.npz")
     camera = Pinhole.of(item, truth["mask"].shape)
     points = camera.points(truth["depth_mm"].astype(float))[truth["mask"]]
-    # 2.6 % of 180 mm is the depth's error; the widest points are on the rim, which a mesh reaches to a pixel or two
+    # depth is good to 2 mm in the mean; the widest points are on the rim, which a mesh reaches to a pixel or two
     np.testing.assert_allclose(mesh.bounds[1] * 1000, points.max(axis=0), atol=8)
     np.testing.assert_allclose(mesh.bounds[0, :2] * 1000, points.min(axis=0)[:2], atol=8)
     middle = mesh.triangles_center
