@@ -5,9 +5,6 @@ truth mask eroded by two pixels, where the found surface reaches. The true shadi
 one-light pictures over the albedo that they were made with; correlation with it is Pearson's, in linear light.
 """
 
-import argparse
-import tempfile
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -16,7 +13,7 @@ import xarray
 from numpy.typing import NDArray
 
 from benchmarks.accuracy import DATA, DOCS, Bench, partial_correlation
-from benchmarks.pages import put
+from benchmarks.pages import write_tables
 
 Array = NDArray[Any]
 ROWS = {
@@ -115,22 +112,6 @@ def _scale_free(found: Array, true: Array) -> float:
     return float(np.sqrt(np.mean((gain * found - true) ** 2)))
 
 
-def main() -> None:
-    """Measure and write the tables."""
-    works = {"albedos": albedos, "bodies": bodies, "errors": errors}
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--only", choices=works, help="measure and write this table alone")
-    only = parser.parse_args().only
-    if not DATA.is_dir():
-        raise SystemExit(f"{DATA} is not there; these figures need the rendered captures")
-    with tempfile.TemporaryDirectory() as work:
-        bench = Bench(Path(work) / "store")
-        for name, table in works.items():
-            if only in (None, name):
-                lines = table(bench)
-                print("\n".join(lines))
-                put(DOCS / "methods" / "reflectance.md", name, lines)
-
-
 if __name__ == "__main__":
-    main()
+    works = {"albedos": albedos, "bodies": bodies, "errors": errors}
+    write_tables(__doc__, DOCS / "methods" / "reflectance.md", works)

@@ -5,9 +5,6 @@ judges inside the truth mask where the estimate is known. The other tables take 
 (`real/skin_spectra`: skin by M. Vrhel, 400 to 700 nm; a ColorChecker) through the six pass bands of that capture, bells.
 """
 
-import argparse
-import tempfile
-from pathlib import Path
 from typing import Any, Literal
 
 import colour
@@ -17,7 +14,7 @@ import xarray
 from numpy.typing import NDArray
 
 from benchmarks.accuracy import DATA, DOCS, Bench, partial_correlation
-from benchmarks.pages import put
+from benchmarks.pages import write_tables
 from stages import absorption, skin_layers
 from stages import colour as of_bands
 from stages.chromophores import ChromophoresParams, chromophores, predicted
@@ -199,22 +196,6 @@ def _spectra(nm: Array) -> dict[str, Array]:
     return out | {"ColorChecker": np.stack([np.interp(nm, at, s) for s in chart["data"].T], axis=1)}
 
 
-def main() -> None:
-    """Measure and write the tables."""
-    works = {"maps": maps, "skins": skins, "knobs": knobs, "others": others, "colours": colours}
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--only", choices=works, help="measure and write this table alone")
-    only = parser.parse_args().only
-    if not DATA.is_dir():
-        raise SystemExit(f"{DATA} is not there; these figures need the rendered captures and measured spectra")
-    with tempfile.TemporaryDirectory() as work:
-        bench = Bench(Path(work) / "store")
-        for name, table in works.items():
-            if only in (None, name):
-                lines = table(bench)
-                print("\n".join(lines))
-                put(DOCS / "methods" / "skin.md", name, lines)
-
-
 if __name__ == "__main__":
-    main()
+    works = {"maps": maps, "skins": skins, "knobs": knobs, "others": others, "colours": colours}
+    write_tables(__doc__, DOCS / "methods" / "skin.md", works)

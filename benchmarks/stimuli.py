@@ -6,6 +6,7 @@ back with Pillow and measures them here, from the definitions. Eyes and flows ar
 """
 
 import argparse
+import csv
 import json
 import tempfile
 import time
@@ -20,6 +21,7 @@ from PIL import Image
 
 from benchmarks.accuracy import DOCS, Bench
 from benchmarks.face_scenes import PARTS, framed, true_flow, view
+from benchmarks.pages import put
 from cli.face_points import find_points, mean_face
 from stages.face_flow import face_flow, landed
 from stages.face_frame import Frame, find_face
@@ -136,8 +138,6 @@ def _made(bench: Bench, way: str, *words: str) -> Path:
 
 
 def _told(folder: Path) -> list[dict[str, str]]:
-    import csv
-
     with (folder / "stimuli.csv").open(newline="") as file:
         return list(csv.DictReader(file))
 
@@ -183,13 +183,6 @@ def _draw(name: str, rows: list[Array], scale: float) -> None:
     Image.fromarray(whole).quantize(128).save(DOCS / "figures" / name, optimize=True)
 
 
-def _put(name: str, lines: list[str]) -> None:
-    page = DOCS / "methods" / "stimuli.md"
-    opening, closing = f"<!-- {name} -->\n", f"<!-- end of {name} -->"
-    head, _, rest = page.read_text(encoding="utf-8").partition(opening)
-    page.write_text(f"{head}{opening}\n" + "\n".join(lines) + f"\n\n{closing}{rest.partition(closing)[2]}", "utf-8")
-
-
 def main() -> None:
     """Measure and write the tables and figures."""
     works: dict[str, Callable[[Bench], list[str]]] = {
@@ -210,7 +203,7 @@ def main() -> None:
                 lines = made(bench)
                 if lines:
                     print("\n".join(lines))
-                    _put(name, lines)
+                    put(DOCS / "methods" / "stimuli.md", name, lines)
 
 
 if __name__ == "__main__":
