@@ -434,9 +434,12 @@ def _written(
     content = files.assemble(rows, data, recipe, points, jspsych=options.jspsych)
     folder = options.to or store.root / "stimuli" / f"{recipe['digest']}-{files.manifest(content)}"
     new = files.write_set(folder.absolute(), content)
-    for off, what in zip(differences, kinds if options.across == "kind" else ["the set"], strict=True):
-        _say_how_equal(off, what, methods, screen)
-    screen.say(f"{len(rows)} stimuli of {len(subjects)} subjects {'are' if new else 'were already'} in {folder}")
+    groups = kinds if options.across == "kind" else ["the set"]
+    for off, what in zip(differences, groups, strict=True):
+        if len(rows) > len(groups):  # one picture is equal to itself
+            _say_how_equal(off, what, methods, screen)
+    people = f"{len(subjects)} subject{'s' if len(subjects) > 1 else ''}"
+    screen.say(f"{len(rows)} stimuli of {people} {'are' if new else 'were already'} in {folder}")
     screen.document(
         {"folder": str(folder), "stimuli": rows, "largest_difference": differences, "recipe": recipe["digest"]}
     )
