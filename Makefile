@@ -42,7 +42,7 @@ stimuli: $(VENV)/.user  ## a matched set of face pictures: SESSION="anna ben car
 	@$(RUN) stimuli $(SESSION) $(if $(TO),--to "$(TO)")
 
 material: $(VENV)/.user  ## base colour, gloss and normals for renderers: SESSION=name or folder, TO=folder
-	@$(RUN) material $(if $(SESSION),"$(SESSION)") --to "$(or $(TO),$(or $(STORE),data)/material)"
+	@$(RUN) material $(if $(SESSION),"$(SESSION)") --to "$(or $(TO),$(or $(STORE),data)/material/$(notdir $(or $(SESSION),demo)))"
 
 test: $(VENV)/.developer  ## all tests
 	@$(BIN)/python -m pytest $(if $(TESTS),$(TESTS),-n 2)

@@ -1,7 +1,8 @@
 """Files for a folder of the user's: made aside, moved in when all of them are there.
 
-A record beside them (JSON) names each with the digest of its bytes. A file of the same name is replaced only where
-the record says that it is as this command has left it: nothing of anybody else's is overwritten.
+A record beside them (JSON) names each with the digest of its bytes and the results it was made from. A file of the
+same name is replaced only where the record says that it is as this command has left it: nothing of anybody else's
+is overwritten. A folder holds the files of one session.
 """
 
 import json
@@ -29,17 +30,20 @@ class Delivery:
         self.to = to
         self.record = record
 
-    def claim(self, names: Iterable[str]) -> None:
+    def claim(self, names: Iterable[str], session: str) -> None:
         """Make the folder, and make sure that these files may be written; to be asked before the work.
 
         Raises:
-            RequestError: there can be no such folder, or it holds a file that is not this command's.
+            RequestError: there can be no such folder, or it holds a file that is not this command's, or the files
+                of another session.
         """
         try:
             self.to.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise RequestError(f"--to {self.to}: no folder can be made there ({error.strerror})") from None
-        known = self._known()
+        known, former = self._known()
+        if former not in (None, session):
+            raise RequestError(f"--to {self.to} holds the files of session '{former}'; choose another folder")
         for name in names:
             path = self.to / name
             if path.exists() and not (path.is_file() and known.get(name) == digest_bytes(path.read_bytes())):
@@ -48,14 +52,15 @@ class Delivery:
                     "move it away, or choose another --to"
                 )
 
-    def _known(self) -> dict[str, str]:
-        """Name to digest, of what the record lists."""
+    def _known(self) -> tuple[dict[str, str], str | None]:
+        """Name to digest, of what the record lists, and whose files they are."""
         path = self.to / self.record
         if not path.exists():
-            return {}
+            return {}, None
         try:
-            files = json.loads(path.read_text(encoding="utf-8"))["files"]
-            return {str(name): str(entry["digest"]) for name, entry in files.items()}
+            record = json.loads(path.read_text(encoding="utf-8"))
+            listed = {str(name): str(entry["digest"]) for name, entry in record["files"].items()}
+            return listed, str(record["session"])
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
             raise RequestError(
                 f"{path} is there already and is no record of this command; move it away, or choose another --to"
@@ -81,7 +86,7 @@ class Delivery:
 
         Args:
             work: the folder of `making`.
-            document: what the record says beside the files.
+            document: what the record says beside the files; `results` is said of each file of this call.
             files: by name, what the record says of each.
         """
         path = self.to / self.record
@@ -89,7 +94,12 @@ class Delivery:
         listed = {
             **{name: entry for name, entry in former.items() if (self.to / name).exists()},
             **{
-                name: {**entry, "digest": digest_bytes((work / name).read_bytes())} for name, entry in files.items()
+                name: {
+                    **entry,
+                    "results": document.get("results"),
+                    "digest": digest_bytes((work / name).read_bytes()),
+                }
+                for name, entry in files.items()
             },
         }
         (work / self.record).write_text(

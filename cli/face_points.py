@@ -42,6 +42,9 @@ def read_points(path: Path, sessions: Sequence[str]) -> dict[str, Points]:
         raise RequestError(
             f"{path}: expected sessions with their points, such as `s1: {{left_eye: [120, 90], ...}}`"
         )
+    if not any(name in plain for name in sessions):
+        listed = ", ".join(map(str, plain)) or "none"
+        raise RequestError(f"{path}: has points of {listed}, and of none of the sessions ({', '.join(sessions)})")
     found: dict[str, Points] = {}
     by_name = {str(name): given for name, given in plain.items()}
     for name in sessions:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cli.deliver import Delivery
-from cli.run import add_run_options, override_items, run_session, session_of
+from cli.run import add_run_options, override_items, paths_of, run_session, session_of
 from cli.show import Screen
 from store.errors import RequestError
 from store.root import Store
@@ -128,9 +128,9 @@ def handle_material(options: argparse.Namespace, screen: Screen) -> int:
     options.session = session_of(options.session, store, screen) if options.session else demo_session(store, screen)
     nodes = nodes_of(options.session, store)
     delivery = Delivery(options.to, RECORD)
-    delivery.claim(_names(formats, glossy="gloss" in nodes))
+    delivery.claim(_names(formats, glossy="gloss" in nodes), options.session)
     summary = run_session(options, store, screen, nodes)
-    material = read_material(options, store, nodes)
+    material = read_material(options, store, paths_of(summary, nodes, options.session))
     with delivery.making() as work:
         files: dict[str, dict[str, Any]] = {}
         if "exr" in formats:
@@ -152,15 +152,18 @@ def handle_material(options: argparse.Namespace, screen: Screen) -> int:
     if material.gloss is None:
         screen.warn("the capture lacks one of the polarisations, so there are no specular maps and no roughness")
     if not material.absolute:
-        screen.warn("the session has no lights or bands item, so 1 in the base colour is the brightest point")
+        screen.warn(
+            "the scale is relative, because a lights or bands item is missing or the parallel camera alone: 1 in "
+            "the base colour is the brightest point"
+        )
     screen.table(("file", "what"), [(name, entry["what"]) for name, entry in files.items()])
     screen.say(f"{len(made)} files in {options.to}; {RECORD} says what each is")
     screen.document({**summary, "files": [str(file) for file in made], "material": {**document, "files": files}})
     return 0
 
 
-def read_material(options: argparse.Namespace, store: Store, nodes: "tuple[str, ...]") -> Material:
-    """The results in use.
+def read_material(options: argparse.Namespace, store: Store, paths: Mapping[str, Path]) -> Material:
+    """The results at `paths`, by node.
 
     Raises:
         RequestError: there is no such tracking frame, no camera item, or nothing is known of the subject.
@@ -170,11 +173,9 @@ def read_material(options: argparse.Namespace, store: Store, nodes: "tuple[str, 
     from dag.plan import bound_items
     from stages.pinhole import Pinhole
     from store.grid import open_dataset
-    from store.results import current_path
     from store.sessions import read_session
 
     session = read_session(options.session, store)
-    paths = {node: current_path(session.name, node, store) for node in nodes}
     opened = {node: open_dataset(path) for node, path in paths.items()}
     have = [int(frame) for frame in opened["shape"]["tracking"].values]
     frame = have[0] if options.tracking is None and have else options.tracking
@@ -199,6 +200,7 @@ def read_material(options: argparse.Namespace, store: Store, nodes: "tuple[str, 
             picture("gloss", "specular"),
             picture("gloss", "roughness"),
             np.moveaxis(picture("specular", "normal")[0], 0, 2),
+            np.isfinite(picture("shape", "depth_mm")),
             opened["gloss"].attrs,
         )
     depth = picture("shape", "depth_mm")
@@ -221,14 +223,15 @@ def read_material(options: argparse.Namespace, store: Store, nodes: "tuple[str, 
     return material
 
 
-def _gloss(specular: Any, alpha: Any, normal: Any, attrs: Mapping[str, Any]) -> Gloss:
+def _gloss(specular: Any, alpha: Any, normal: Any, known: Any, attrs: Mapping[str, Any]) -> Gloss:
     import numpy as np
 
     from stages.microfacets import at_normal_incidence
 
     index, absolute = float(attrs["index"]), attrs["scale"] == "absolute"
     if not absolute:
-        specular = specular * (at_normal_incidence(index) / np.nanmedian(specular))
+        # of the subject: a background that shines nowhere has a number too
+        specular = specular * (at_normal_incidence(index) / np.nanmedian(specular[known]))
     return Gloss(specular, alpha, normal, index, absolute)
 
 

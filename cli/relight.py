@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from cli.deliver import Delivery
 from cli.material import FRAME, Material, nodes_of, read_material
-from cli.run import add_run_options, override_items, run_session, session_of
+from cli.run import add_run_options, override_items, paths_of, run_session, session_of
 from cli.show import Screen
 from store.errors import RequestError
 from store.root import Store
@@ -131,14 +131,16 @@ def handle_relight(options: argparse.Namespace, screen: Screen) -> int:
             *(f"{setup.name}.{form}" for setup in setups for form in ("png", "exr")),
             *(TABLE, SHEET),
             *([FILM] if options.turn else []),
-        ]
+        ],
+        options.session,
     )
     nodes = nodes_of(options.session, store)
     summary = run_session(options, store, screen, nodes)
-    material = read_material(options, store, nodes)
+    paths = paths_of(summary, (*nodes, "stack"), options.session)
+    material = read_material(options, store, {node: paths[node] for node in nodes})
     surface = surface_of(material)
     with delivery.making() as work:
-        taken = _taken(material, setups, store) if options.led else {}
+        taken = _taken(material, setups, paths["stack"]) if options.led else {}
         files, rows = _write_pictures(work, material, surface, setups, options.exposure, taken, screen)
         if options.turn:
             files |= _write_film(work, material, surface, setups[0], environment, rows[0].exposure, options, screen)
@@ -324,7 +326,7 @@ def _rig(item: Mapping[str, Any]) -> "dict[str, Lamps]":
     return every
 
 
-def _taken(material: Material, setups: Sequence[Setup], store: Store) -> "dict[str, NDArray[np.float64]]":
+def _taken(material: Material, setups: Sequence[Setup], path: Path) -> "dict[str, NDArray[np.float64]]":
     """The session's own pictures under the lights of setups, (y, x) luminance, NaN where not valid, by name.
 
     None of a session without an absolute scale, which does not say how bright they ought to be.
@@ -333,9 +335,8 @@ def _taken(material: Material, setups: Sequence[Setup], store: Store) -> "dict[s
 
     from stages.colour import linear_srgb_matrix
     from store.grid import open_dataset
-    from store.results import current_path
 
-    stack = open_dataset(current_path(material.session, "stack", store))["radiance"]
+    stack = open_dataset(path)["radiance"]
     if not material.absolute or "illumination" not in stack.dims:
         return {}
     have = [str(name) for name in stack["illumination"].values]

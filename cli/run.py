@@ -334,6 +334,18 @@ def _filmed(summary: Mapping[str, Any], options: argparse.Namespace) -> str:
     )
 
 
+def paths_of(summary: Mapping[str, Any], nodes: Sequence[str], session: str) -> dict[str, Path]:
+    """Where the results of a run are, by node: those of this run, and no others.
+
+    Raises:
+        RequestError: --frames has left a node nothing.
+    """
+    paths = {node: summary["nodes"][node]["path"] for node in nodes}
+    if None in paths.values():
+        raise RequestError(f"session '{session}': --frames leaves no tracking frame to work on")
+    return {node: Path(path) for node, path in paths.items()}
+
+
 def session_of(given: str, store: Store, screen: Screen) -> str:
     """The session of that name, or the one that a capture folder becomes."""
     from cli.sessions import import_folder

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from cli import mesh
-from cli.run import add_run_options, run_session, session_of
+from cli.run import add_run_options, paths_of, run_session, session_of
 from cli.show import Screen
 from store.errors import RequestError
 from store.root import Store
@@ -43,10 +43,7 @@ def handle_shape(options: argparse.Namespace, screen: Screen) -> int:
     options.session = session_of(options.session, store, screen) if options.session else demo_session(store, screen)
     session = read_session(options.session, store)
     summary = run_session(options, store, screen, NODES)
-    path = summary["nodes"]["shape"]["path"]
-    if path is None:
-        raise RequestError(f"session '{session.name}': --frames leaves no tracking frame to make a mesh of")
-    dataset = open_dataset(Path(path))
+    dataset = open_dataset(paths_of(summary, ("shape",), session.name)["shape"])
     camera = mesh.camera_of(dataset, "shape", session, store)
     folder = options.to or store.root / "pictures" / f"{session.name}_shape"
     try:

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cli.run import add_run_options, override_items, run_session, session_of
+from cli.run import add_run_options, override_items, paths_of, run_session, session_of
 from cli.show import Screen
 from store.errors import RequestError, WorkError
 from store.root import Store
@@ -96,7 +96,7 @@ def handle_skin(options: argparse.Namespace, screen: Screen) -> int:
     store = Store(options.store)
     options.session = session_of(options.session, store, screen) if options.session else demo_session(store, screen)
     summary = run_session(options, store, screen, NODES)
-    skin = read_skin(options, store)
+    skin = read_skin(options, store, paths_of(summary, NODES, options.session))
     picked = spectra(skin, points)
     stem = store.root / "pictures" / f"{skin.session}_skin"
     files = {
@@ -148,8 +148,8 @@ def handle_skin(options: argparse.Namespace, screen: Screen) -> int:
     return 0
 
 
-def read_skin(options: argparse.Namespace, store: Store) -> Skin:
-    """The results in use.
+def read_skin(options: argparse.Namespace, store: Store, paths: Mapping[str, Path]) -> Skin:
+    """The results at `paths`, by node.
 
     Raises:
         RequestError: there is no such tracking frame.
@@ -160,11 +160,10 @@ def read_skin(options: argparse.Namespace, store: Store) -> Skin:
     from stages.absorption import pass_bands
     from stages.chromophores import ChromophoresParams
     from store.grid import open_dataset
-    from store.results import current_path
     from store.sessions import read_session
 
     session = read_session(options.session, store)
-    reflectance, pigments = (open_dataset(current_path(session.name, node, store)) for node in NODES)
+    reflectance, pigments = (open_dataset(paths[node]) for node in NODES)
     have = [int(frame) for frame in pigments["tracking"].values]
     frame = have[0] if options.tracking is None and have else options.tracking
     if frame not in have:

@@ -129,6 +129,8 @@ def handle_stimuli(options: argparse.Namespace, screen: Screen) -> int:
         raise RequestError(f"--morph: '{lacking[0]}' is not among the sessions named ({', '.join(names)})")
     if options.morph and options.morph[0] == options.morph[1]:
         raise RequestError(f"--morph: '{options.morph[0]}' is named twice; between a face and itself is nothing")
+    if options.morph:
+        names = list(options.morph)  # others would only change the size of the pictures
     opened = {name: _computed(name, options, store, screen) for name in names}
     if options.preview_lights:
         return _preview(opened, options, store, screen)
@@ -434,9 +436,9 @@ def _written(
     content = files.assemble(rows, data, recipe, points, jspsych=options.jspsych)
     folder = options.to or store.root / "stimuli" / f"{recipe['digest']}-{files.manifest(content)}"
     new = files.write_set(folder.absolute(), content)
-    groups = kinds if options.across == "kind" else ["the set"]
-    for off, what in zip(differences, groups, strict=True):
-        if len(rows) > len(groups):  # one picture is equal to itself
+    called = kinds if options.across == "kind" else ["the set"]
+    for off, what in zip(differences, called, strict=True):
+        if len(rows) > len(called):  # one picture is equal to itself
             _say_how_equal(off, what, methods, screen)
     people = f"{len(subjects)} subject{'s' if len(subjects) > 1 else ''}"
     screen.say(f"{len(rows)} stimuli of {people} {'are' if new else 'were already'} in {folder}")

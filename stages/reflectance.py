@@ -6,7 +6,7 @@ r_b is constant light, from C and from every gradient with its complement (r_a +
 noise; S the irradiance that reaches the point directly, attached and cast shadows in (from `normals` with a model
 of the rig), B_b what arrives by way of other points (radiosity on the found surface, a band at a time, because it
 depends on the albedo around). All in radiance of a white surface, so with a `bands` item, which is measured on a
-white target, rho is absolute.
+white target, rho is absolute; not so of a parallel camera alone, and without any polariser gloss is in it.
 
 Without a surface there is no S: `smooth` takes the low frequencies of constant light, all bands together, for the
 shading. That takes what is smooth in the skin with it, and rho is right up to it. Without lights or bands rho is
@@ -228,7 +228,9 @@ def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: Reflectanc
     component = next(c for c in ("diffuse", "total", components[0]) if c in components)
     members = list(aligned.along("illumination"))
     where = {frame: t for t, frame in enumerate(aligned.along("tracking"))}
-    absolute = "bands" in facts["items"] and bool(facts["light_ids"])
+    # parallel light alone is half of the diffuse light and all of the specular, in parts that nobody knows
+    told = list(facts["polarisation"]) != ["parallel"]
+    absolute = "bands" in facts["items"] and bool(facts["light_ids"]) and told
     bands = list(aligned.along("band"))
     height, width = aligned.sizes["y"], aligned.sizes["x"]
     still = facts["frame_rate_hz"] is None

@@ -1,6 +1,7 @@
 """Maps and GLB for renderers, read back by OpenImageIO, pygltflib and trimesh."""
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -153,7 +154,7 @@ def test_what_is_not_ours_stays(lightstage: Lightstage, head: Path, tmp_path: Pa
 
 def test_a_delivery_that_stops_leaves_nothing(tmp_path: Path) -> None:
     delivery = Delivery(tmp_path / "out", "record.json")
-    delivery.claim(["a"])
+    delivery.claim(["a"], "one")
 
     def stopped() -> None:
         with delivery.making() as work:
@@ -163,6 +164,35 @@ def test_a_delivery_that_stops_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(RequestError, match="stopped"):
         stopped()
     assert not list((tmp_path / "out").iterdir())
+
+
+def test_a_folder_holds_one_session(tmp_path: Path) -> None:
+    delivery = Delivery(tmp_path, "record.json")
+    delivery.claim(["a"], "one")
+    with delivery.making() as work:
+        (work / "a").write_text("made")
+        delivery.settle(work, {"session": "one", "results": {"node": "1"}}, {"a": {"what": "a"}})
+    delivery.claim(["b"], "one")
+    with pytest.raises(RequestError, match="holds the files of session 'one'"):
+        delivery.claim(["b"], "two")
+    assert '"results"' in (tmp_path / "record.json").read_text()
+
+
+def test_without_lights_the_gloss_of_the_subject_is_that_of_its_index(
+    lightstage: Lightstage, head: Path, tmp_path: Path
+) -> None:
+    (source,) = (head / "captures").glob("demo-*")
+    folder = shutil.copytree(source, tmp_path / "nol")
+    (folder / "calibration" / "lights.yaml").unlink()
+    text = (folder / "capture.yaml").read_text()
+    (folder / "capture.yaml").write_text(text.replace("session: demo", "session: nol"))
+    to = tmp_path / "out"
+    done = lightstage("material", folder, "--to", to, "--format", "exr", store=head)
+    assert done.code == 0, done.err
+    assert "the scale is relative" in done.err
+    inside = Exr(to / "mask.exr")["Y"] == 1
+    # the background shines nowhere, and its numbers are not the subject's
+    assert np.median(Exr(to / "specular.exr")["Y"][inside]) == pytest.approx(0.0278, rel=0.1)
 
 
 @pytest.mark.parametrize(

@@ -66,6 +66,7 @@ def test_points_are_chosen_where_none_is_given(lightstage: Lightstage, kept: Pat
         (("--at", "120,5"), "--at 120,5 is outside the picture; X is 0 to 119 and Y is 0 to 91"),
         (("--at", "0,0"), "--at 0,0: nothing is known of the reflectance there"),
         (("--tracking", "7"), "has no tracking frame 7; it has 0"),
+        (("--frames", "5:6"), "--frames leaves no tracking frame to work on"),
         (("--at", "1,1") * 9, "--at is given 9 times; at most 8 spectra are drawn"),
     ],
 )

@@ -320,6 +320,7 @@ def test_points_that_were_found_can_be_given_back(made: Any, heads: Path, lights
         ("one: {left_eye: [a, 2], right_eye: [10, 2]}", "expected [x, y] in pixels"),
         ("one: {left_eye: [1, 2], right_eye: [210, 2]}", "outside the picture of 204 x 156"),
         ("- one", "expected sessions"),
+        ("on: {left_eye: [1, 2], right_eye: [10, 2]}", "and of none of the sessions"),
         ("".join(f"{s}: {{left_eye: [80, 70], right_eye: [81, 70]}}\n" for s in SUBJECTS), "1.0 pixels apart"),
     ],
 )

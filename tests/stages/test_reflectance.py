@@ -147,7 +147,12 @@ def grids(members: list[str], arrays: frozenset[str] = frozenset({"normal"})) ->
     return [aligned, relief]
 
 
-FACTS = {"frame_rate_hz": None, "items": ["bands", "lights"], "light_ids": ["L00"]}
+FACTS = {
+    "frame_rate_hz": None,
+    "items": ["bands", "lights"],
+    "light_ids": ["L00"],
+    "polarisation": ["parallel", "cross"],
+}
 
 
 def test_of_a_moving_subject_only_the_tracking_frame_counts() -> None:
@@ -166,3 +171,5 @@ def test_what_cannot_be_done_is_refused() -> None:
         STAGE.arrange(grids(["L00", "L01"]), FACTS, STAGE.params())
     without = STAGE.arrange(grids(["C"]), {**FACTS, "items": []}, STAGE.params())
     assert without.grid.attrs["scale"] == "relative"
+    alone = STAGE.arrange(grids(["C"]), {**FACTS, "polarisation": ["parallel"]}, STAGE.params())
+    assert alone.grid.attrs["scale"] == "relative"  # half of the diffuse light, all of the gloss
