@@ -24,6 +24,7 @@ Sources: Willenbockel et al. (2010), doi:10.3758/BRM.42.3.671 (the SHINE toolbox
 Coltuc, Bolon, Chassery (2006), doi:10.1109/TIP.2005.864170, for exact histograms.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -238,15 +239,15 @@ def _measured(index: int, picture: Array, setting: Setting) -> Matched:
     return Matched(picture, figures(codes, setting), spectrum(setting.seen(codes)), float(outside.mean()))
 
 
-class _Level:
+class _Level(ABC):
     """What brings one picture's luminance to the set's."""
 
     def __init__(self, target: Array, setting: Setting) -> None:
         self.target, self.setting = target, setting
 
+    @abstractmethod
     def __call__(self, index: int, field: Array, fade: Array) -> Matched:
         """A face (y, x) before the background, `fade` how much of it is shown."""
-        raise NotImplementedError
 
     def off(self, found: Matched) -> float:
         """How far the picture still is from the set's figures, grey levels."""
