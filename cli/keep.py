@@ -27,7 +27,7 @@ def configure(commands: Any) -> None:
 
 def handle_verify(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage verify."""
-    from store.keeper import verify
+    from store.verify import verify
 
     store = Store(options.store, create=False)
     report = verify(store, progress=screen.progress)
@@ -51,7 +51,7 @@ def handle_verify(options: argparse.Namespace, screen: Screen) -> int:
 
 def handle_gc(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage gc."""
-    from store.keeper import gc
+    from store.gc import gc
 
     match = _GRACE.fullmatch(options.grace)
     if not match:

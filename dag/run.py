@@ -28,9 +28,9 @@ from dag.stage import Stage, StageError
 from store.chunks import ChunkRef
 from store.digest import digest_value
 from store.errors import DamagedChunkError, RequestError, WorkError
-from store.keeper import verify
 from store.records import BlockRecord
 from store.root import Store
+from store.verify import verify
 
 
 class Watcher(Protocol):

@@ -12,5 +12,6 @@ capture.py      the capture folder, as it comes off a rig
 sessions.py     imported captures
 calibration.py  calibration items
 results.py      the result folders
-keeper.py       verify and gc
+verify.py       every byte read, what can be mended mended, the rest named
+gc.py           what nothing refers to is freed
 """

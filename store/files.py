@@ -208,6 +208,17 @@ def link_or_copy(source: Path, target: Path) -> None:
             shutil.copyfile(source, target)
 
 
+def files_below(folder: Path) -> Iterator["os.DirEntry[str]"]:
+    """Every file below a folder, by name."""
+    if not folder.is_dir():
+        return
+    for entry in sorted(os.scandir(folder), key=lambda item: item.name):
+        if entry.is_dir(follow_symlinks=False):
+            yield from files_below(Path(entry.path))
+        else:
+            yield entry
+
+
 def folder_size(folder: Path) -> int:
     """Bytes in all files below a folder."""
     return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())

@@ -12,6 +12,7 @@ after its chunks, in one step, and is trusted only while its chunks are there.
 
 import json
 import os
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -153,3 +154,8 @@ class Records:
         if folder.is_dir():
             for entry in sorted(os.scandir(folder), key=lambda item: item.name):
                 yield from sorted(Path(entry.path).glob("*.json"))
+
+
+def blobs_named(record: Path) -> set[str]:
+    """Everything in a record that may be the name of a chunk."""
+    return set(re.findall(r"[0-9a-f]{32}", record.read_text()))
