@@ -79,7 +79,9 @@ def _all_trials(options: argparse.Namespace, bench: Bench, work: Path) -> list[O
             if text:
                 outcome = Outcome(part, kind, seed, **json.loads(text))
             else:
-                outcome = Outcome(part, kind, seed, "hang" if late else "unclear", "the trial itself did not end well")
+                outcome = Outcome(
+                    part, kind, seed, "hang" if late else "unclear", "the trial itself did not end well"
+                )
             outcomes[number] = outcome
             if outcome.verdict not in ("held", "skipped"):
                 print(outcome, flush=True)

@@ -311,6 +311,18 @@ class Bench:
         warm(self.base, trial.options)
         return self
 
+    def once(self, name: str, make: Callable[[Path, "Bench"], None]) -> Path:
+        """The store that `make` leaves in a room, made by the first trial that asks for it."""
+        room = self.folder / name
+        if not room.exists():
+            mine = self.folder / f"{name} {os.getpid()}"
+            mine.mkdir()
+            make(mine, self)
+            with contextlib.suppress(OSError):  # another trial was quicker
+                os.rename(mine, room)
+            shutil.rmtree(mine, ignore_errors=True)
+        return room / "store"
+
     def truth(self) -> Truth:
         """The values, from files: a trial is a process of its own."""
         values = []
@@ -361,7 +373,17 @@ class Trial:
         values: dict[str, NDArray[Any]] = {}
         shutil.rmtree(self.room / "exported", ignore_errors=True)
         first, *then = [
-            ("export", node, "--session", "ball", "--to", self.room / "exported" / node, "--format", "npy", "--json")
+            (
+                "export",
+                node,
+                "--session",
+                "ball",
+                "--to",
+                self.room / "exported" / node,
+                "--format",
+                "npy",
+                "--json",
+            )
             for node in nodes
         ]
         answer = self.command(*first, store=store, then=then).clear()
@@ -376,7 +398,12 @@ class Trial:
         return values
 
     def check_exports(
-        self, truth: Mapping[str, NDArray[Any]], after: str, *, all_of_them: bool = False, nodes: Sequence[str] = NODES
+        self,
+        truth: Mapping[str, NDArray[Any]],
+        after: str,
+        *,
+        all_of_them: bool = False,
+        nodes: Sequence[str] = NODES,
     ) -> None:
         """Whatever is delivered is true.
 

@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from tests.chaos.bench import Trial, results
-from tests.chaos.interference import CHANGES, At, Interference, Refused, Vanished
+from tests.chaos.interference import At, Interference, Refused, Vanished
 from tests.chaos.outcome import SkippedTrial, UnclearError, WrongError
 
 SIZES_KB = tuple(16 + 24 * i for i in range(29))
@@ -117,7 +117,9 @@ def _no_space(made: Trial, dice: random.Random, turn: int) -> None:
     )
     said = f"{errno.errorcode[number]} at change {nth} of {words[0]}"
     made.command(*words, interference=[Interference(at, Refused(number))]).clear()
-    made.command("calibration", "use", made.bench.capture / "calibration" / "dark.yaml", "--session", "ball").clear()
+    made.command(
+        "calibration", "use", made.bench.capture / "calibration" / "dark.yaml", "--session", "ball"
+    ).clear()
     _well_again(made, said)
 
 
@@ -156,7 +158,9 @@ def _vanishes(made: Trial, dice: random.Random, turn: int) -> None:
         )
     )
     said = f"the store is moved away at call {nth} of {words[0]}"
-    answer = made.command(*words, interference=[Interference(At(made.store, nth), Vanished(made.store, away))]).clear()
+    answer = made.command(
+        *words, interference=[Interference(At(made.store, nth), Vanished(made.store, away))]
+    ).clear()
     if not away.exists():
         return  # it ended before
     made.command("status", "--session", "ball").clear()

@@ -88,7 +88,9 @@ def change(path: Path, what: str, dice: random.Random, alike: list[Path]) -> Non
     elif what == "a truncated file":
         del data[at:]
     else:
-        data[at : at + 64] = bytes(len(data[at : at + 64])) if any(data[at : at + 64]) else b"x" * len(data[at : at + 64])
+        data[at : at + 64] = (
+            bytes(len(data[at : at + 64])) if any(data[at : at + 64]) else b"x" * len(data[at : at + 64])
+        )
     with open(path, "r+b") as file:
         file.write(data)
         file.truncate()

@@ -5,7 +5,6 @@ nothing can be traced, it is a moment by the clock. Wrong is a clean run afterwa
 undisturbed one gives, a `verify` that then finds anything, and anything that one `gc` leaves behind.
 """
 
-import contextlib
 import os
 import random
 import re
@@ -24,7 +23,19 @@ CALLS = (
     "openat,write,pwrite64,fsync,fdatasync,rename,renameat,renameat2,link,linkat,unlink,unlinkat,mkdir,mkdirat,"
     "symlink,symlinkat,rmdir,utimensat,ftruncate,close,newfstatat,getdents64,copy_file_range,sendfile"
 )
-DURABLE = ("write", "fsync", "rename", "renameat2", "link", "linkat", "unlink", "unlinkat", "mkdir", "symlink", "rmdir")
+DURABLE = (
+    "write",
+    "fsync",
+    "rename",
+    "renameat2",
+    "link",
+    "linkat",
+    "unlink",
+    "unlinkat",
+    "mkdir",
+    "symlink",
+    "rmdir",
+)
 
 OPERATIONS = ("import", "run", "use", "gc", "verify", "remove", "import again")
 
@@ -113,19 +124,17 @@ def leftovers(store: Path) -> set[str]:
 
 def _reference(made: Trial, operation: str) -> dict[str, Any]:
     """The same without a kill, made in a room of its own once for each operation."""
-    room = made.bench.folder / f"undisturbed {operation}"
-    if not room.exists():
-        other = Trial(made.bench, room.with_name(f"{room.name} {os.getpid()}"), made.seed)
+
+    def undisturbed(room: Path, bench: Bench) -> None:
+        other = Trial(bench, room, made.seed)
         words = prepare(other, operation)
         other.command(*words).clear()
         if operation == "remove":
-            other.command("import", made.bench.capture).done()
+            other.command("import", bench.capture).done()
         other.run().done()
         other.command("gc", "--grace", "0s").done()
-        with contextlib.suppress(OSError):  # another trial was quicker
-            os.rename(other.room, room)
-        shutil.rmtree(other.room, ignore_errors=True)
-    store = room / "store"
+
+    store = made.bench.once(f"undisturbed {operation}", undisturbed)
     return {"results": results(store), "files": leftovers(store)}
 
 
@@ -138,7 +147,9 @@ def _can_trace() -> bool:
 
 
 def _killed_at(made: Trial, words: tuple[Any, ...], call: str, nth: int) -> None:
-    _traced(made, words, ["-o", os.devnull, "-e", f"trace={call}", "-e", f"inject={call}:signal=SIGKILL:when={nth}"])
+    _traced(
+        made, words, ["-o", os.devnull, "-e", f"trace={call}", "-e", f"inject={call}:signal=SIGKILL:when={nth}"]
+    )
 
 
 def _traced(made: Trial, words: tuple[Any, ...], options: list[str]) -> None:
@@ -165,13 +176,13 @@ def _traced(made: Trial, words: tuple[Any, ...], options: list[str]) -> None:
 
 def _calls(bench: Bench, operation: str) -> dict[str, int]:
     """How many system calls of each kind a thread of the operation makes at most; traced once."""
-    log = bench.folder / f"calls {operation}"
-    if not log.exists():
-        other = Trial(bench, log.with_name(f"{log.name} {os.getpid()}"), 0)
+
+    def traced(room: Path, bench: Bench) -> None:
+        other = Trial(bench, room, 0)
         words = prepare(other, operation)
-        _traced(other, words, ["-o", str(other.room / "log"), "-e", f"trace={CALLS}"])
-        os.rename(other.room / "log", log)
-        shutil.rmtree(other.room)
+        _traced(other, words, ["-o", str(room / "log"), "-e", f"trace={CALLS}"])
+
+    log = bench.once(f"calls of {operation}", traced).with_name("log")
     counts = Counter(re.findall(r"^(\d+) +(\w+)\(", log.read_text(errors="replace"), re.MULTILINE))
     most: dict[str, int] = {}
     for (_, call), count in counts.items():

@@ -8,7 +8,6 @@ then stands gives, a picture of before an import after it, and a `verify` that f
 
 import json
 import random
-import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.chaos.bench import Answer, Trial, item
+from tests.chaos.bench import Answer, Bench, Trial, copy, item
 from tests.chaos.interference import At, Counted, Held, Interference
 from tests.chaos.outcome import WrongError
 
@@ -41,7 +40,7 @@ PAIRS = (
     ("run", "another request"),
     ("import", "import"),
 )
-TRIALS = 6 * len(PAIRS)
+TRIALS = 5 * len(PAIRS)
 CHANGED = "0004_Xc_576nm_CAM1.png"
 
 
@@ -80,14 +79,22 @@ def _short(where: str | None, store: Path) -> str:
 
 
 def _prepare(made: Trial, first: str) -> None:
-    made.take_store(made.bench.imported if first == "run" and made.seed // len(PAIRS) % 2 else None)
+    """A store with something that a gc frees and results that a run may take up, and a folder with one new picture."""
+    fresh = first == "run" and made.seed // len(PAIRS) % 2 == 1
+    base = made.bench.imported
+    if not fresh:
+        base = made.bench.once("raced", _raced)
+    made.take_store(base)
     folder = made.take_capture()
-    made.command("import", folder).done()
     changed = cv2.imread(str(folder / CHANGED), cv2.IMREAD_UNCHANGED)
-    # something that a gc frees, and a result that a run has only to take up again
-    made.run("--set", "normals.method=minimal").done()
-    made.run("--set", "register.flat_smoothing_percent=3").done()
     assert cv2.imwrite(str(folder / CHANGED), changed + 5)
+
+
+def _raced(room: Path, bench: Bench) -> None:
+    other = Trial(bench, room, 0)
+    other.take_store()
+    other.run("--set", "normals.method=minimal").done()
+    other.run("--set", "register.flat_smoothing_percent=3").done()
 
 
 def _words(made: Trial, name: str) -> Sequence[tuple[Any, ...]]:
@@ -110,17 +117,19 @@ def _words(made: Trial, name: str) -> Sequence[tuple[Any, ...]]:
 
 
 def _events(made: Trial, first: str) -> list[str]:
-    """What a command does below its store when nobody disturbs it; listed in a copy."""
-    log = made.room / "events"
-    log.touch()
-    spare = made.room / "undisturbed"
-    spare.mkdir()
-    other = Trial(made.bench, spare, made.seed)
-    other.take_store(made.store)
-    shutil.copytree(made.room / "ball", spare / "ball")
-    (words,) = _words(other, first)
-    other.command(*words, interference=[Interference(At(other.store), Counted(log))]).done()
-    return log.read_text().splitlines()
+    """What a command does below its store when nobody disturbs it; listed once, in a copy."""
+    fresh = not (made.store / "results").is_dir()
+
+    def listed(room: Path, bench: Bench) -> None:
+        other = Trial(bench, room, made.seed)
+        other.take_store(made.store)
+        copy(made.room / "ball", room / "ball")
+        (room / "log").touch()
+        (words,) = _words(other, first)
+        other.command(*words, interference=[Interference(At(other.store), Counted(room / "log"))]).done()
+
+    room = made.bench.once(f"events of {first}{' in a new store' if fresh else ''}", listed)
+    return room.with_name("log").read_text().splitlines()
 
 
 def _check(made: Trial, said: str, first: str, second: str, answer: Answer, others: list[Answer]) -> None:
@@ -129,7 +138,9 @@ def _check(made: Trial, said: str, first: str, second: str, answer: Answer, othe
     session = made.store / "sessions" / "ball" / "session.json"
     if session.is_file():
         bound = json.loads(session.read_bytes())
-        bound = bound.get("items") or next((v["items"] for v in bound.values() if isinstance(v, dict) and "items" in v))
+        bound = bound.get("items") or next(
+            v["items"] for v in bound.values() if isinstance(v, dict) and "items" in v
+        )
         for name, kind_of, version in (("use", "homography", 1), ("use of another kind", "bands", 1)):
             if done.get(name):
                 _check_binding(made, said, bound, kind_of, version)
@@ -181,28 +192,33 @@ def _truth(made: Trial) -> dict[str, NDArray[Any]]:
 
 def _differs(made: Trial, truth: dict[str, NDArray[Any]]) -> str | None:
     found = made.exported(("register", "normals"), truth=True)
-    return next((name for name, values in found.items() if not np.array_equal(values, truth[name], equal_nan=True)), None)
+    return next(
+        (name for name, values in found.items() if not np.array_equal(values, truth[name], equal_nan=True)), None
+    )
 
 
 def _check_against_new(made: Trial, said: str, bound: list[str]) -> None:
     """What the store gives is what a new store gives for the same pictures and items."""
     found = made.exported(truth=True)
-    other = Trial(made.bench, made.room / "anew", made.seed)
-    other.command("import", made.room / "ball").done()
-    if np.array_equal(_cross(found), _cross(made.bench.truth().usual)):  # the folder was not imported since its edit
-        other.command("import", made.bench.capture).done()
-    for name in bound:
-        kind_of = name.split("-")[0]
-        for folder in (made.bench.items, made.bench.capture / "calibration"):
-            made_item = other.command("calibration", "use", folder / f"{kind_of}.yaml", "--session", "ball", "--json")
-            if made_item.done().json["item"] == name:
-                break
-    other.run().done()
-    wanted = other.exported(truth=True)
-    for name, values in wanted.items():
-        if not np.array_equal(found[name], values, equal_nan=values.dtype.kind == "f"):
-            raise WrongError(f"{said}; {name} is not what a new store gives for the same session")
-    shutil.rmtree(other.room)
+    old = np.array_equal(_cross(found), _cross(made.bench.truth().usual))
+
+    def anew(room: Path, bench: Bench) -> None:
+        other = Trial(bench, room, made.seed)
+        other.command("import", bench.capture if old else made.room / "ball").done()
+        for name in bound:
+            kind_of = name.split("-")[0]
+            for folder in (bench.items, bench.capture / "calibration"):
+                words = ("calibration", "use", folder / f"{kind_of}.yaml", "--session", "ball", "--json")
+                if other.command(*words).done().json["item"] == name:
+                    break
+        other.run().done()
+        np.savez(room / "values.npz", **other.exported(truth=True))
+
+    room = made.bench.once(f"anew {'old' if old else 'new'} {' '.join(sorted(bound))}", anew)
+    with np.load(room.with_name("values.npz")) as wanted:
+        for name, values in wanted.items():
+            if not np.array_equal(found[name], values, equal_nan=values.dtype.kind == "f"):
+                raise WrongError(f"{said}; {name} is not what a new store gives for the same session")
 
 
 def _cross(values: dict[str, NDArray[Any]] | Any) -> NDArray[Any]:
