@@ -9,6 +9,7 @@ import contextlib
 import importlib
 import json
 import os
+import re
 import resource
 import shutil
 import signal
@@ -42,6 +43,7 @@ PIPELINE = """stages:
   stack:    {uses: stack,    from: split}
   normals:  {uses: normals,  from: stack}
 """
+_UNCLEAR = re.compile(r"Traceback \(most recent|lightstage: unexpected |\"error\": \"unexpected ")
 NODES = ("capture", "register", "split", "stack", "normals")
 RATIO = ("--set", "normals.method=ratio")
 """A second request, so that a store holds an answer that may be taken for another."""
@@ -102,9 +104,8 @@ class Answer:
         """
         if self.code is None:
             raise HangError(str(self))
-        for word in ("Traceback (most recent", "unexpected "):
-            if word in self.err or word in self.out:
-                raise UnclearError(str(self))
+        if _UNCLEAR.search(self.err) or _UNCLEAR.search(self.out):
+            raise UnclearError(str(self))
         if self.code not in (0, 1, 2):
             raise UnclearError(str(self))
         if self.code != 0 and "lightstage: " not in self.err and "damaged: " not in self.out:

@@ -149,7 +149,9 @@ def _pipeline(made: Trial, dice: random.Random) -> None:
     file = made.room / "pipeline.yaml"
     file.write_text(text.replace(old, new))
     answer = made.command("run", "--session", "ball", "--pipeline", file, "--json")
-    _expect(made, f"the pipeline's {old.strip()!r} -> {new.strip()!r}", _computed(answer), must, must | _below(must))
+    _expect(
+        made, f"the pipeline's {old.strip()!r} -> {new.strip()!r}", _computed(answer), must, must | _below(must)
+    )
 
 
 def _below(nodes: set[str]) -> set[str]:
@@ -170,7 +172,9 @@ def _anew(made: Trial, said: str, folder: Path) -> None:
 
 def _item(made: Trial, dice: random.Random) -> None:
     folder = made.take_capture()
-    name, must = dice.choice((("homography", "register"), ("bands", "stack"), ("dark", "register"), ("flat", "register")))
+    name, must = dice.choice(
+        (("homography", "register"), ("bands", "stack"), ("dark", "register"), ("flat", "register"))
+    )
     file = folder / "calibration" / f"{name}.yaml"
     what = dice.choice(("numbers", "numbers", "notes", "picture"))
     if what == "picture" and name in ("dark", "flat"):

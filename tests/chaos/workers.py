@@ -29,7 +29,15 @@ KINDS = (
     "an odd address",
 )
 TRIALS = 20
-ADDRESSES = ("", "tls://127.0.0.1:1", "tcp://", "x", "tcp://127.0.0.1:99999", "inproc://x", "tcp://nowhere.invalid:1")
+ADDRESSES = (
+    "",
+    "tls://127.0.0.1:1",
+    "tcp://",
+    "x",
+    "tcp://127.0.0.1:99999",
+    "inproc://x",
+    "tcp://nowhere.invalid:1",
+)
 
 
 def kind(seed: int) -> str:
@@ -90,7 +98,9 @@ def _on(cluster: Cluster, made: Trial, what: str, dice: random.Random) -> str:
         if away.exists():
             left = [p for p in made.store.rglob("*") if p.is_file()] if made.store.exists() else []
             if left:
-                raise WrongError(f"{what} at call {nth}; {left[0].relative_to(made.store)} was made where it had been")
+                raise WrongError(
+                    f"{what} at call {nth}; {left[0].relative_to(made.store)} was made where it had been"
+                )
             os.rename(away, made.store) if not made.store.exists() else _swap(made.store, away)
         return f"{what} at call {nth}"
     held = Held()
@@ -123,7 +133,11 @@ def _other_code(cluster: Cluster, made: Trial, dice: random.Random, words: tuple
     name, old, new = dice.choice(
         (
             ("stages/split.py", "np.multiply(cross, 2,", "np.multiply(cross, 2.02,"),
-            ("dag/run.py", "return whole\n", "return whole * whole.dtype.type(1.01) if whole.dtype.kind == 'f' else whole\n"),
+            (
+                "dag/run.py",
+                "return whole\n",
+                "return whole * whole.dtype.type(1.01) if whole.dtype.kind == 'f' else whole\n",
+            ),
             ("store/chunks.py", "array = np.frombuffer(", "array = 1 * np.frombuffer("),
         )
     )
