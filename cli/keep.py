@@ -5,7 +5,7 @@ import re
 from typing import Any
 
 from cli.show import Screen
-from store.errors import RequestError
+from store.errors import DamagedChunkError, DamagedGroupError, RequestError, WorkError
 from store.files import human_size
 from store.root import Store
 
@@ -33,6 +33,8 @@ def handle_verify(options: argparse.Namespace, screen: Screen) -> int:
     report = verify(store, progress=screen.progress)
     for damage in report.damaged:
         screen.say(f"damaged: {damage.path}: belongs to {damage.belongs_to}; {damage.remedy}")
+    for path in report.strange:
+        screen.say(f"not of the store: {path}; it was left alone")
     screen.say(
         f"{report.chunks} chunks, {human_size(report.size)}: "
         + (f"{len(report.damaged)} were damaged or gone" if report.damaged else "all intact")
@@ -44,9 +46,36 @@ def handle_verify(options: argparse.Namespace, screen: Screen) -> int:
             "damaged": [
                 {"path": str(d.path), "belongs_to": d.belongs_to, "remedy": d.remedy} for d in report.damaged
             ],
+            "strange": [str(path) for path in report.strange],
         }
     )
     return 1 if report.damaged else 0
+
+
+def set_aside(damage: DamagedChunkError | DamagedGroupError, options: argparse.Namespace, screen: Screen) -> None:
+    """Mend what a command has met damaged, or set it aside, so that the command can begin again.
+
+    A command that computes (its parser says `computes`) makes what was set aside again.
+
+    Raises:
+        WorkError: the command cannot do that; says which one can.
+    """
+    from store.verify import verify
+
+    screen.warn(f"{damage}; looking through the store")
+    try:
+        found = verify(Store(options.store, create=False)).damaged
+    except WorkError as error:
+        raise WorkError(f"{damage}, and cannot be mended: {error}") from None
+    for one in found:
+        screen.warn(f"{one.path} was damaged: {one.belongs_to}; {one.remedy}")
+    lasting = [one for one in found if not one.recomputable]
+    if isinstance(damage, DamagedChunkError) or damage.group.suffix == ".zarr":  # not made by a stage
+        if lasting:
+            raise WorkError(f"{damage}; {lasting[0].remedy}")
+    elif not (damage.group.is_dir() or getattr(options, "computes", False)):
+        session, node = damage.group.parts[-3:-1]
+        raise WorkError(f"{damage}. It was set aside; `lightstage run {node} --session {session}` makes it again")
 
 
 def handle_gc(options: argparse.Namespace, screen: Screen) -> int:

@@ -13,7 +13,8 @@ from dag.fingerprint import plain_context
 from dag.plan import NodePlan, NodeState, State
 from store.chunks import ChunkRef
 from store.errors import WorkError
-from store.results import ResultName, chunk_file, current, publish, set_current
+from store.notes import chunk_file
+from store.results import ResultName, current, publish, set_current
 from store.root import Store
 
 
@@ -76,10 +77,6 @@ def _publish(
                 "bytes": sum(ref.size for ref in files.values()),
                 "host": platform.node(),
                 "finished": datetime.now(UTC).isoformat(timespec="seconds"),
-                "chunks": {
-                    array: {"/".join(map(str, index)): ref.as_plain() for index, ref in placed.items()}
-                    for array, placed in chunks.items()
-                },
             },
         )
         set_current(result, store)

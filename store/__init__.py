@@ -2,6 +2,7 @@
 
 errors.py       the two kinds of failure, each with its exit code
 digest.py       content digests of values and of bytes
+sealed.py       small JSON files that tell when they have changed
 files.py        atomic writes, links, sizes for humans
 document.py     YAML with line and column, checked against a model
 root.py         the folder itself, and the one object that joins the rest

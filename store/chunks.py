@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
+ChunkIndex = tuple[int, ...]
+"""A chunk's place in the chunk grid of its array."""
 RECENT_BYTES = 128_000_000
 """What a process keeps of the arrays that it has just written."""
 
@@ -92,18 +94,28 @@ class Chunks:
             return False
 
     def put(self, array: "NDArray[np.generic]") -> ChunkRef:
-        """Store an array as one chunk; an equal one that is already there is used."""
-        ref, encoded = _sealed(array)
+        """Store an array as one chunk; an equal one that is already there is used.
+
+        What is there is compared, not believed. Damaged bytes are replaced by a new file: groups that hold the old
+        one as a link are made again when they are published, or mended by `verify`.
+        """
+        ref, encoded = _stored_form(array)
         path = self.path(ref.blob)
         self._remember(ref.blob, array)
-        if self.has(ref):
+        if self._holds(path, encoded):
             with contextlib.suppress(OSError):
                 os.utime(path)  # in use again: `gc` must not take it for old
         elif put_if_absent(self._scratch, path, encoded, durable=False):
             self._flusher.add(path)
-        elif not self.has(ref):
-            replace(self._scratch, path, encoded)  # what stood there had lost its end
+        elif not self._holds(path, encoded):
+            replace(self._scratch, path, encoded)
         return ref
+
+    def _holds(self, path: Path, encoded: bytes) -> bool:
+        try:
+            return os.stat(path).st_size == len(encoded) and path.read_bytes() == encoded
+        except OSError:
+            return False
 
     def _remember(self, blob: str, array: "NDArray[Any]") -> None:
         """Keep what was just written: the next stage reads it at once, and need not read and decode it."""
@@ -158,7 +170,7 @@ class Staging(Chunks):
 
     def put(self, array: "NDArray[np.generic]") -> ChunkRef:
         """Store an array for the time being; one that the store has already is not written again."""
-        ref, encoded = _sealed(array)
+        ref, encoded = _stored_form(array)
         if not self._target.intact(ref) and not self.path(ref.blob).exists():
             put_if_absent(self._scratch, self.path(ref.blob), encoded, durable=False)
             self._flusher.add(self.path(ref.blob))
@@ -181,7 +193,7 @@ class Staging(Chunks):
         shutil.rmtree(self.folder, ignore_errors=True)
 
 
-def _sealed(array: "NDArray[np.generic]") -> tuple[ChunkRef, bytes]:
+def _stored_form(array: "NDArray[np.generic]") -> tuple[ChunkRef, bytes]:
     encoded = _encode(array)
     return ChunkRef(digest_array(array), digest_bytes(encoded), len(encoded)), encoded
 

@@ -50,7 +50,7 @@ def gc(store: Store, *, grace_s: float, dry_run: bool) -> Freed:
     folders: list[Path] = []
     for session in sessions:
         shown = (store.sessions / session.name / "raw.zarr").resolve()
-        folders += [p for p in (store.sessions / session.name).glob(".raw-*.zarr") if p != shown and old(p)]
+        folders += [p for p in (store.sessions / session.name).glob(".raw-*") if p.stem != shown.stem and old(p)]
     for node in sorted(path for path in store.results.glob("*/*") if path.is_dir()):
         known = node.parent.name in {session.name for session in sessions}
         in_use = _in_use(node, store) if known else set()
