@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 
 from store.digest import digest_array, digest_bytes
 from store.errors import DamagedChunkError, WorkError
-from store.files import Flusher, Scratch, full_disk_is_named, put_if_absent, replace
+from store.files import Flusher, Scratch, disk_faults_named, put_if_absent, replace
 
 if TYPE_CHECKING:
     import numpy as np
@@ -169,7 +169,7 @@ class Staging(Chunks):
         self.flush()
         for path in sorted(self.folder.glob("*/*")):
             target = self._target.path(path.name)
-            with full_disk_is_named(target):
+            with disk_faults_named(target):
                 target.parent.mkdir(parents=True, exist_ok=True)
                 os.replace(path, target)
         self.discard()

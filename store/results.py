@@ -16,7 +16,7 @@ from typing import Any
 from store.chunks import ChunkRef
 from store.digest import digest_bytes
 from store.errors import RequestError
-from store.files import full_disk_is_named, replace
+from store.files import disk_faults_named, replace
 from store.grid import ArrayTemplate, ChunkIndex, Coordinate, write_group
 from store.root import Store
 
@@ -59,7 +59,7 @@ def publish(
             os.utime(path.with_name(f"{path.name}.json"))  # in use again: `gc` must not take it for old
     else:
         temporary = store.scratch.path()
-        with full_disk_is_named(path):
+        with disk_faults_named(path):
             write_group(
                 temporary,
                 arrays=arrays,

@@ -24,7 +24,7 @@ from store.capture import SESSION_NAME
 from store.chunks import ChunkRef
 from store.digest import SHORT, digest_bytes, digest_value
 from store.errors import DamagedFileError, RequestError, WorkError
-from store.files import full_disk_is_named
+from store.files import disk_faults_named
 from store.grid import ArrayTemplate, ChunkIndex, Coordinate, write_group
 from store.root import Store
 
@@ -200,7 +200,7 @@ def _write_raw(session: Session, store: Store) -> None:
         chunks["mask"] = {(0, 0): session.mask.chunk}
     hidden = ("illumination", "time_s", "polarisation", "bands_nm")
     temporary = store.scratch.path()
-    with full_disk_is_named(target):
+    with disk_faults_named(target):
         write_group(
             temporary,
             arrays=arrays,
