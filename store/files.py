@@ -486,10 +486,12 @@ def renew(path: Path) -> None:
 
 
 def files_below(folder: Path) -> Iterator["os.DirEntry[str]"]:
-    """Every file below a folder, by name."""
-    if not folder.is_dir():
+    """Every file below a folder, by name; a folder that is not there, or no more, has none."""
+    try:
+        entries = sorted(os.scandir(folder), key=lambda item: item.name)
+    except (FileNotFoundError, NotADirectoryError):
         return
-    for entry in sorted(os.scandir(folder), key=lambda item: item.name):
+    for entry in entries:
         if entry.is_dir(follow_symlinks=False):
             yield from files_below(Path(entry.path))
         else:
