@@ -27,7 +27,7 @@ from store.errors import WorkError
 from store.marker import NAME, Marker, gone
 
 _counter = itertools.count()
-_NO_LINKS = (errno.EPERM, errno.EXDEV, errno.ENOSYS, errno.ENOTSUP, errno.EINVAL, errno.EMLINK)
+NO_LINKS = (errno.EPERM, errno.EXDEV, errno.ENOSYS, errno.ENOTSUP, errno.EINVAL, errno.EMLINK)
 _GONE = (errno.ESTALE, errno.ENOTCONN, errno.ENODEV, errno.ENXIO)
 _ABANDONED_S = 7 * 86400
 """After so long without a change the leavings of another machine are swept."""
@@ -400,7 +400,7 @@ def _move_new(source: Path, target: Path) -> None:
     try:
         os.link(source, target)
     except OSError as error:
-        if error.errno not in _NO_LINKS:
+        if error.errno not in NO_LINKS:
             raise
         _rename_new(source, target)
     else:
@@ -463,26 +463,24 @@ def link_or_copy(source: Path, target: Path) -> None:
         try:
             os.link(source, target)
         except OSError as error:
-            if error.errno not in _NO_LINKS:
+            if error.errno not in NO_LINKS:
                 raise
-            renew(source)
+            if not renewed(source):
+                raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(source)) from None
             shutil.copyfile(source, target)
             with open(target, "rb") as file:
                 os.fsync(file.fileno())
 
 
-def renew(path: Path) -> None:
-    """Say that a file is in use again, so that `gc` does not take it for old.
-
-    Raises:
-        FileNotFoundError: it is gone.
-    """
+def renewed(path: Path) -> bool:
+    """Say that a file is in use again, so that `gc` does not take it for old; returns whether it is still there."""
     try:
         os.utime(path)
     except FileNotFoundError:
-        raise
+        return False
     except OSError:
         pass  # another user's: its age must do
+    return True
 
 
 def files_below(folder: Path) -> Iterator["os.DirEntry[str]"]:

@@ -1,13 +1,12 @@
 """Freeing what nothing refers to, also while others are at work.
 
-What is to go is decided first, so that a dry run can say it, and looked at once more when it goes: it is taken aside
-by a rename, and then either something has come to use it since, and it is put back, or it is deleted. Whoever comes
-to use a thing says so first and looks afterwards whether it is still there: a run links or renews a chunk
+What is to go is decided first, so that a dry run can say it, and looked at once more when it goes: it is taken
+aside by a rename, and then it is put back, where something has come to use it since, or deleted. Whoever comes to
+use a thing says so first and looks afterwards whether it is still there: a run links or renews a chunk
 (`link_or_copy`, `Chunks.put`), renews a note, writes `current` and then looks for the group that it names. One of
 the two always sees the other. What a kill leaves is garbage: for the next `gc` where it stood, or in `tmp/`.
 
-What counts as young goes by the time of the last change of content or the last renewal. Links that come and go
-renew the inode, but say nothing of use.
+Young is what was written or renewed lately. Links that come and go change the inode, but say nothing of use.
 """
 
 import contextlib
@@ -40,12 +39,10 @@ class Freed:
     records: int = 0
     items: int = 0
     size: int = 0
-    """Bytes of all files that are freed with these and out of `tmp/`; a file with several names once, with its last."""
+    """Bytes of all files that go, with those out of `tmp/`; a file with several names goes with its last."""
 
 
-def gc(
-    store: Store, *, grace_s: float, dry_run: bool, before: Callable[[Path], None] = lambda path: None
-) -> Freed:
+def gc(store: Store, *, grace_s: float, dry_run: bool, before: Callable[[Path], None] = lambda path: None) -> Freed:
     """Free what no session and no result in use refers to.
 
     In use are: all sessions, the calibration items bound to them, and per node the result that `current` names
@@ -133,27 +130,32 @@ class _Collection:
             in_use = _in_use(node, self._store) if node.parent.name in sessions else set()
             for group in _groups(node):
                 note = note_path(group)
-                if group.name in in_use or not self._old(note if note.exists() else group):
-                    continue
-                used = lambda aside, group=group, note=note: (  # noqa: E731
-                    _named(group.parent) == group.name or (note.exists() and not self._old(note))
-                )
-                if self._free(group, used) or not group.exists():
-                    self._freed.results += 1
-                    # a run that has published it again since has written another note, or this one stands beside it
-                    self._free(note, lambda aside, group=group: group.exists() or not self._old(aside))
+                if group.name not in in_use and self._old(note if note.exists() else group):
+                    self._freed.results += self._free_result(group, note)
             if node.parent.name not in sessions and not self._dry_run and self._old(node):
                 _clear(node)
 
+    def _free_result(self, group: Path, note: Path) -> bool:
+        def used(aside: Path) -> bool:
+            return _named(group.parent) == group.name or (note.exists() and not self._old(note))
+
+        if not self._free(group, used) and group.exists():
+            return False
+        # where a run has published it again since, this is the new note, or the group stands there
+        self._free(note, lambda aside: group.exists() or not self._old(aside))
+        return True
+
     def _free_pictures(self, sessions: Iterable[str]) -> None:
-        """The groups of older pictures, and of imports that were killed."""
+        """The groups of older pictures, and of imports that were killed, with their notes."""
         for folder in _listed(self._store.sessions):
             for path in sorted(folder.glob(".raw-*")):
-                used = lambda aside, path=path: self._shown(path)  # noqa: E731
                 if self._old(path) and not self._shown(path):
-                    self._free(path, used)
+                    self._free(path, self._shown_at(path))
             if folder.name not in sessions and not self._dry_run and self._old(folder):
                 _clear(folder)
+
+    def _shown_at(self, path: Path) -> Callable[[Path], bool]:
+        return lambda aside: self._shown(path)
 
     def _shown(self, path: Path) -> bool:
         """Whether a group of pictures, or its note, is of its session as it is now."""
@@ -194,9 +196,11 @@ class _Collection:
                 if self._old(path) and blobs_named(path) & lost.keys():
                     self._freed.records += self._free(path, lambda aside: not self._old(aside))
         for path, links in lost.values():
-            self._freed.chunks += self._free(
-                path, lambda aside, links=links: not self._old(aside) or aside.stat().st_nlink > links
-            )
+            self._freed.chunks += self._free(path, self._taken_up(links))
+
+    def _taken_up(self, links: int) -> Callable[[Path], bool]:
+        """Whether a chunk has been renewed, or has more names than it had."""
+        return lambda aside: not self._old(aside) or aside.stat().st_nlink > links
 
     def _free(self, path: Path, used: Callable[[Path], bool]) -> bool:
         """Free a file or a folder unless it is used by now; says whether it did.
@@ -258,9 +262,9 @@ def _groups(node: Path) -> list[Path]:
 
 
 def _clear(folder: Path) -> None:
-    """Take away what is left of a session that is not in the store, where that is nothing but names and empty folders."""
+    """Take away what is left of a session that is not in the store, where nothing else is in it."""
     names = set(os.listdir(folder))
-    if names <= {"current", ".lock"}:
+    if names <= {"current", ".lock", "raw.json"}:
         with contextlib.suppress(OSError):  # a run or an import that is just beginning here
             for name in names:
                 (folder / name).unlink()

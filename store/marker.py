@@ -63,7 +63,8 @@ class Marker:
 def gone(root: Path) -> WorkError:
     """That a store is no longer where it was."""
     return WorkError(
-        f"the store {root} is gone (moved or unmounted?); nothing was made in its place. Bring it back and run again"
+        f"the store {root} is gone (moved or unmounted?); nothing was made in its place; bring it back and run "
+        "again"
     )
 
 

@@ -1,9 +1,9 @@
 """Carrying an older store over, one format after the other.
 
-A step (STEPS, by the format that it begins with) goes through the store and writes anew, each in one step of its own,
-what the next format has otherwise; what it finds written so it leaves alone. So an upgrade can be stopped anywhere
-and goes on where it was. `store.json` says "upgrading" from the first change to the last, and no command but this
-one takes the store for its own meanwhile. Nothing is removed but short cuts, which are made again.
+A step (STEPS, by the format that it begins with) goes through the store and writes anew, file by file, what the
+next format has otherwise; what it finds written so it leaves alone. So an upgrade can be stopped anywhere and goes
+on where it was. `store.json` says "upgrading" from the first change to the last, and no command but this one takes
+the store for its own meanwhile. Nothing is removed but short cuts, which are made again.
 """
 
 import contextlib
@@ -116,7 +116,7 @@ def _refuse_company(store: Store) -> None:
 
 
 def _seal_all(store: Store, done: Upgraded, progress: Progress) -> None:
-    """1 -> 2: sessions, items, records and notes are sealed; groups of pictures have notes; short cuts are dropped."""
+    """1 -> 2: sessions, items, records and notes are sealed, groups of pictures noted, and short cuts dropped."""
     work: list[tuple[str, Callable[[bytes, Path], bytes], list[Path]]] = [
         ("items", _sealed_item, sorted(store.calibration.glob("*/item.json"))),
         ("sessions", _sealed_session, sorted(store.sessions.glob("*/session.json"))),
