@@ -41,7 +41,7 @@ def configure(commands: Any) -> None:
     measure.add_argument(
         "--pipeline", type=Path, metavar="FILE", help="default: ./calibration.yaml, or the packaged"
     )
-    measure.set_defaults(handler=handle_calibrate)
+    measure.set_defaults(handler=handle_calibrate, computes=True)
 
 
 def handle_calibrate(options: argparse.Namespace, screen: Screen) -> int:
@@ -50,22 +50,22 @@ def handle_calibrate(options: argparse.Namespace, screen: Screen) -> int:
     from cli.run import override_items
     from cli.sessions import import_folder
     from store.capture import read_captures
-    from store.sessions import commit_session, read_session, remove_session, session_names
+    from store.sessions import read_session, remove_session, restore_session, session_names
 
     capture = read_captures(options.folders)  # a typo in it must not even make a store
     name = options.session or capture.description.session
     store = Store(options.store)
     store.scratch.sweep()
     before = read_session(name, store) if name in session_names(store) else None
+    session = import_folder(options.folders, store, screen, name).session
     try:
-        session = import_folder(options.folders, store, screen, name).session
         plan = _plan(options, session, override_items(options.calibration, store), store)
         nodes, path = _run(plan, store, screen)
     except LightstageError:
         # a capture that tells nothing leaves nothing behind
         if before is not None:
-            commit_session(before, store)
-        elif name in session_names(store):
+            restore_session(before, session, store)
+        else:
             remove_session(name, store)
         raise
     result = read_result(plan, path)

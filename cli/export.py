@@ -69,7 +69,7 @@ def handle_export(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage export."""
     from store.grid import open_dataset
     from store.results import current_path
-    from store.sessions import read_session
+    from store.sessions import raw_group, read_session
 
     if options.fps is not None and options.format not in film.FILMS:
         raise RequestError(f"--fps {options.fps:g}: only a film has it; choose --format {' or '.join(film.FILMS)}")
@@ -84,7 +84,7 @@ def handle_export(options: argparse.Namespace, screen: Screen) -> int:
     store = Store(options.store, create=False)
     session = read_session(options.session, store)
     if options.node == "capture":
-        path = store.sessions / session.name / "raw.zarr"
+        path = raw_group(session, store)
     else:
         path = current_path(session.name, options.node, store)
     dataset = open_dataset(path)

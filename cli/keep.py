@@ -1,11 +1,11 @@
-"""verify, gc: look after the store."""
+"""verify, gc, upgrade: look after the store."""
 
 import argparse
 import re
 from typing import Any
 
 from cli.show import Screen
-from store.errors import RequestError
+from store.errors import DamagedChunkError, DamagedGroupError, RequestError, WorkError
 from store.files import human_size
 from store.root import Store
 
@@ -23,6 +23,8 @@ def configure(commands: Any) -> None:
         "--grace", default="7d", metavar="TIME", help="keep what is younger: 90s, 30m, 12h, 7d (default)"
     )
     gc.set_defaults(handler=handle_gc)
+    upgrade = commands.add_parser("upgrade", help="carry a store of an older lightstage over to this one")
+    upgrade.set_defaults(handler=handle_upgrade)
 
 
 def handle_verify(options: argparse.Namespace, screen: Screen) -> int:
@@ -33,6 +35,8 @@ def handle_verify(options: argparse.Namespace, screen: Screen) -> int:
     report = verify(store, progress=screen.progress)
     for damage in report.damaged:
         screen.say(f"damaged: {damage.path}: belongs to {damage.belongs_to}; {damage.remedy}")
+    for path in report.strange:
+        screen.say(f"not of the store: {path}; it was left alone")
     screen.say(
         f"{report.chunks} chunks, {human_size(report.size)}: "
         + (f"{len(report.damaged)} were damaged or gone" if report.damaged else "all intact")
@@ -44,9 +48,36 @@ def handle_verify(options: argparse.Namespace, screen: Screen) -> int:
             "damaged": [
                 {"path": str(d.path), "belongs_to": d.belongs_to, "remedy": d.remedy} for d in report.damaged
             ],
+            "strange": [str(path) for path in report.strange],
         }
     )
     return 1 if report.damaged else 0
+
+
+def set_aside(damage: DamagedChunkError | DamagedGroupError, options: argparse.Namespace, screen: Screen) -> None:
+    """Mend what a command has met damaged, or set it aside, so that the command can begin again.
+
+    A command that computes (its parser says `computes`) makes what was set aside again.
+
+    Raises:
+        WorkError: the command cannot do that; says which one can.
+    """
+    from store.verify import verify
+
+    screen.warn(f"{damage}; looking through the store")
+    try:
+        found = verify(Store(options.store, create=False)).damaged
+    except WorkError as error:
+        raise WorkError(f"{damage}, and cannot be mended: {error}") from None
+    for one in found:
+        screen.warn(f"{one.path} was damaged: {one.belongs_to}; {one.remedy}")
+    lasting = [one for one in found if not one.recomputable]
+    if isinstance(damage, DamagedChunkError) or damage.group.suffix == ".zarr":  # not made by a stage
+        if lasting:
+            raise WorkError(f"{damage}; {lasting[0].remedy}")
+    elif not (damage.group.is_dir() or getattr(options, "computes", False)):
+        session, node = damage.group.parts[-3:-1]
+        raise WorkError(f"{damage}. It was set aside; `lightstage run {node} --session {session}` makes it again")
 
 
 def handle_gc(options: argparse.Namespace, screen: Screen) -> int:
@@ -74,3 +105,20 @@ def handle_gc(options: argparse.Namespace, screen: Screen) -> int:
         }
     )
     return 0
+
+
+def handle_upgrade(options: argparse.Namespace, screen: Screen) -> int:
+    """lightstage upgrade."""
+    from store.marker import FORMAT
+    from store.upgrade import upgrade
+
+    done = upgrade(options.store, progress=screen.progress)
+    for line in done.left:
+        screen.say(f"not carried over: {line}")
+    if done.began == FORMAT and not done.carried:
+        screen.say(f"the store is of format {FORMAT}, which this program reads; nothing to do")
+    else:
+        what = ", ".join(f"{count} {kind}" for kind, count in done.carried.items()) or "nothing was left to do"
+        screen.say(f"format {done.began} -> {FORMAT}: {what}")
+    screen.document({"from": done.began, "to": FORMAT, "carried": dict(done.carried), "left": done.left})
+    return 1 if done.left else 0

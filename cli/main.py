@@ -18,7 +18,7 @@ from importlib import import_module  # noqa: E402
 from typing import Any, NoReturn  # noqa: E402
 
 from cli.show import Screen  # noqa: E402
-from store.errors import LightstageError, RequestError  # noqa: E402
+from store.errors import DamagedChunkError, DamagedGroupError, LightstageError, RequestError  # noqa: E402
 
 VERSION = "0.1.0"
 FAMILIES = (
@@ -102,7 +102,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 raise RequestError("a command is missing (`lightstage --help` lists them)")
             build_parser().print_help()
             return 2
-        return int(options.handler(options, screen))
+        try:
+            return int(options.handler(options, screen))
+        except (DamagedChunkError, DamagedGroupError) as damage:
+            from cli.keep import set_aside
+
+            set_aside(damage, options, screen)
+            # begun again; what was computed before is there
+            return int(options.handler(options, screen))
     except LightstageError as error:
         return _failed(error, error.exit_code, screen, words)
     except KeyboardInterrupt:

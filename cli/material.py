@@ -47,7 +47,7 @@ def configure(commands: Any) -> None:
     )
     material.add_argument("--tracking", type=int, metavar="N", help="the tracking frame (default: the first)")
     add_run_options(material)
-    material.set_defaults(handler=handle_material)
+    material.set_defaults(handler=handle_material, computes=True)
 
 
 @dataclass(frozen=True)

@@ -84,7 +84,7 @@ def configure(commands: Any) -> None:
     )
     relight.add_argument("--tracking", type=int, metavar="N", help="the tracking frame (default: the first)")
     add_run_options(relight)
-    relight.set_defaults(handler=handle_relight)
+    relight.set_defaults(handler=handle_relight, computes=True)
 
 
 @dataclass(frozen=True)

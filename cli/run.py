@@ -28,14 +28,14 @@ def configure(commands: Any) -> None:
     add_session_options(run)
     add_run_options(run)
     run.add_argument("--dry-run", action="store_true", help="say what would be computed, and compute nothing")
-    run.set_defaults(handler=handle_run)
+    run.set_defaults(handler=handle_run, computes=True)
 
     normals = commands.add_parser(
         "normals", help="the main job: import if need be, run everything, and draw the contact sheet"
     )
     normals.add_argument("session", nargs="?", metavar="SESSION|FOLDER", help="default: the virtual rig's demo")
     add_run_options(normals)
-    normals.set_defaults(handler=handle_normals)
+    normals.set_defaults(handler=handle_normals, computes=True)
 
     performance = commands.add_parser(
         "performance", help="a moving subject: import if need be, run everything, and write the film"
@@ -44,7 +44,7 @@ def configure(commands: Any) -> None:
         "session", nargs="?", metavar="SESSION|FOLDER", help="default: the virtual rig's moving head"
     )
     add_run_options(performance)
-    performance.set_defaults(handler=handle_performance)
+    performance.set_defaults(handler=handle_performance, computes=True)
 
 
 def add_session_options(parser: argparse.ArgumentParser) -> None:
@@ -170,7 +170,7 @@ def run_session(options: argparse.Namespace, store: Store, screen: Screen, nodes
         return _tell(answer, store, screen, {}, 0.0)
 
     from dag.run import Where, run
-    from store.sessions import read_session, show_raw
+    from store.sessions import show_raw
 
     store.scratch.sweep()
     plan = plan_for(options, store, nodes)
@@ -182,7 +182,7 @@ def run_session(options: argparse.Namespace, store: Store, screen: Screen, nodes
         elapsed = time.perf_counter() - watcher.began
     # read anew: the session may have been imported again in the meantime
     try:
-        show_raw(read_session(options.session, store), store)
+        show_raw(options.session, store)
     except WorkError as error:
         screen.warn(str(error))
     _say_skipped(state, screen)

@@ -238,13 +238,13 @@ def handle_items(options: argparse.Namespace, screen: Screen) -> int:
 
 def handle_item(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage calibration show."""
-    from store.calibration import find_item
+    from store.calibration import find_item, original_of
 
     store = Store(options.store, create=False)
     item = find_item(options.item, store)
     path = store.calibration / item.name / "item.yaml"
     screen.say(f"# {path}")
-    screen.say(path.read_text(encoding="utf-8").rstrip())
+    screen.say(original_of(item, store).decode().rstrip())
     pictures = {camera: f"{p.shape[1]} x {p.shape[0]}, {p.dtype}" for camera, p in item.pictures.items()}
     for camera, text in pictures.items():
         screen.say(f"# {camera}: {text}")
@@ -266,7 +266,7 @@ def handle_use(options: argparse.Namespace, screen: Screen) -> int:
     from store.sessions import bind_item, read_session
 
     store = Store(options.store, create=False)
-    session = read_session(options.session, store)
+    session = read_session(options.session, store).name
     path = Path(options.item).expanduser()
     if path.is_file():
         item, original = read_item(path, store.chunks)
@@ -275,13 +275,12 @@ def handle_use(options: argparse.Namespace, screen: Screen) -> int:
         raise RequestError(f"{path} is missing: expected a calibration item")
     else:
         item = find_item(options.item, store)
-    before = session.items.get(item.kind)
+    before = bind_item(session, item, store)
     changed = before != item.digest
     if changed:
-        bind_item(session, item, store)
         was = f" instead of {item.kind}-{before[:12]}" if before else ""
-        screen.say(f"session '{session.name}' now uses {item.name}{was}")
+        screen.say(f"session '{session}' now uses {item.name}{was}")
     else:
-        screen.say(f"session '{session.name}' uses {item.name} already (the same numbers); nothing has changed")
-    screen.document({"session": session.name, "item": item.name, "changed": changed, "before": before})
+        screen.say(f"session '{session}' uses {item.name} already (the same numbers); nothing has changed")
+    screen.document({"session": session, "item": item.name, "changed": changed, "before": before})
     return 0

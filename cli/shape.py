@@ -27,7 +27,7 @@ def configure(commands: Any) -> None:
         "--normal-map", choices=mesh.SPACES, help="tangent (the default for glb) or object space (obj)"
     )
     add_run_options(shape)
-    shape.set_defaults(handler=handle_shape)
+    shape.set_defaults(handler=handle_shape, computes=True)
 
 
 def handle_shape(options: argparse.Namespace, screen: Screen) -> int:

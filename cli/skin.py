@@ -52,7 +52,7 @@ def configure(commands: Any) -> None:
     )
     skin.add_argument("--tracking", type=int, metavar="N", help="the tracking frame (default: the first)")
     add_run_options(skin)
-    skin.set_defaults(handler=handle_skin)
+    skin.set_defaults(handler=handle_skin, computes=True)
 
 
 @dataclass(frozen=True)

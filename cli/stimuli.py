@@ -86,7 +86,7 @@ def configure(commands: Any) -> None:
         "--preview-lights", action="store_true", help="a sheet of shape under single lights instead"
     )
     add_run_options(stimuli)
-    stimuli.set_defaults(handler=handle_stimuli)
+    stimuli.set_defaults(handler=handle_stimuli, computes=True)
 
 
 @dataclass(frozen=True)

@@ -14,10 +14,10 @@ from dag.fingerprint import block_key, plain_context, recipe, stage_parts
 from dag.graph import Graph, Node
 from dag.stage import Arrangement, CalibrationPicture, Grid, Group, StageError
 from store.calibration import Item, StoredPicture, get_item, not_valid_for
-from store.chunks import ChunkRef
+from store.chunks import ChunkIndex, ChunkRef
 from store.digest import SHORT, digest_value
 from store.errors import RequestError, raise_all
-from store.grid import ArrayTemplate, ChunkIndex, Coordinate
+from store.grid import ArrayTemplate, Coordinate
 from store.records import BlockRecord
 from store.root import Store
 from store.sessions import Session

@@ -2,13 +2,13 @@
 
 An item is a small YAML file (and the pictures it names). Stored, it is
 
+    calibration/<kind>-<digest>/item.json     its numbers, the chunks of its pictures, and the file as it came
     calibration/<kind>-<digest>/item.yaml     the file as it came, for people
-    calibration/<kind>-<digest>/item.json     its numbers and the chunks of its pictures
 
 The digest is of the numbers alone: other formatting, another comment, another rig name give the same item.
+item.json is sealed, and what it holds must have its digest.
 """
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,10 +22,11 @@ from store import document
 from store.capture import Date
 from store.chunks import ChunkRef, Chunks
 from store.digest import SHORT, digest_value
-from store.errors import RequestError
-from store.files import replace
+from store.errors import DamagedFileError, RequestError
+from store.files import renewed, replace
 from store.picture import PictureError, decode, read_file
 from store.root import Store
+from store.sealed import seal, unseal
 
 Vector = tuple[float, float, float]
 Matrix = tuple[Vector, Vector, Vector]
@@ -252,9 +253,15 @@ def read_item(path: Path, chunks: Chunks, *, kind: str | None = None) -> tuple[I
         pictures[camera] = StoredPicture(chunks.put(pixels), pixels.dtype.str, pixels.shape)
     if problems:
         raise RequestError("\n".join(problems))
-    content = {"values": values, "pictures": {camera: p.chunk.value for camera, p in pictures.items()}}
-    item = Item(found, digest_value(content), values, notes, pictures)
+    item = Item(found, item_digest(values, pictures), values, notes, pictures)
     return item, path.read_bytes()
+
+
+def item_digest(values: Mapping[str, Any], pictures: Mapping[str, StoredPicture]) -> str:
+    """What names an item: the digest of its numbers and of its pictures' values."""
+    return digest_value(
+        {"values": dict(values), "pictures": {camera: p.chunk.value for camera, p in pictures.items()}}
+    )
 
 
 def _without_notes(value: Any) -> Any:
@@ -268,48 +275,79 @@ def _without_notes(value: Any) -> Any:
 def put_item(item: Item, original: bytes, store: Store) -> None:
     """Keep an item in the store; the notes of the newest file with these numbers win."""
     folder = store.calibration / item.name
+    data = seal({**_as_plain(item), "original": original.decode()}, indent=1)
+    # item.json is the truth; after a kill between the two, item.yaml shows the notes of the file before
+    for path, content in ((folder / "item.json", data), (folder / "item.yaml", original)):
+        if _bytes(path) != content or not renewed(path):
+            replace(store.scratch, path, content)
+
+
+def _bytes(path: Path) -> bytes | None:
     try:
-        if (folder / "item.yaml").read_bytes() == original and get_item(item.kind, item.digest, store) == item:
-            return
-    except (OSError, RequestError):
-        pass
-    plain = {
+        return path.read_bytes()
+    except OSError:
+        return None
+
+
+def _as_plain(item: Item) -> dict[str, Any]:
+    return {
         "kind": item.kind,
         "digest": item.digest,
-        "values": item.values,
-        "notes": item.notes,
+        "values": dict(item.values),
+        "notes": dict(item.notes),
         "pictures": {camera: picture.as_plain() for camera, picture in item.pictures.items()},
     }
-    replace(store.scratch, folder / "item.yaml", original)
-    replace(store.scratch, folder / "item.json", json.dumps(plain, indent=1).encode())
 
 
 def get_item(kind: str, digest: str, store: Store) -> Item:
-    """An item by its digest.
+    """An item by its digest, or the first digits of it.
 
     Raises:
         RequestError: it is not in the store.
+        DamagedFileError: it is not as it was put there.
     """
+    return _stored(kind, digest, store)[0]
+
+
+def original_of(item: Item, store: Store) -> bytes:
+    """The file that an item came from, as it was.
+
+    Raises:
+        RequestError, DamagedFileError: as `get_item`.
+    """
+    return _stored(item.kind, item.digest, store)[1]
+
+
+def _stored(kind: str, digest: str, store: Store) -> tuple[Item, bytes]:
     path = store.calibration / f"{kind}-{digest[:SHORT]}" / "item.json"
+    remedy = "import the capture that it came with again, or `lightstage calibration use` its file"
     try:
-        plain = json.loads(path.read_bytes())
-        pictures = {camera: StoredPicture.from_plain(picture) for camera, picture in plain["pictures"].items()}
-        return Item(plain["kind"], plain["digest"], plain["values"], plain["notes"], pictures)
-    except FileNotFoundError:
+        data = path.read_bytes()
+    except OSError:
         raise RequestError(
             f"the {kind} item {digest[:SHORT]} is not in the store; import the capture that it came with again"
         ) from None
-    except (ValueError, KeyError, TypeError):
-        raise RequestError(f"{path} is damaged; import the capture that it came with again") from None
+    plain = unseal(data, path, remedy)
+    try:
+        pictures = {camera: StoredPicture.from_plain(picture) for camera, picture in plain["pictures"].items()}
+        item = Item(plain["kind"], plain["digest"], plain["values"], plain["notes"], pictures)
+        right = item.kind == kind and item.digest.startswith(digest)
+        if not (right and item_digest(item.values, pictures) == item.digest):
+            raise DamagedFileError(path, remedy)
+        return item, plain["original"].encode()
+    except (ValueError, KeyError, TypeError, AttributeError, IndexError):
+        raise DamagedFileError(path, remedy) from None
 
 
 def all_items(store: Store) -> list[Item]:
     """Every item in the store, by name."""
-    items = []
-    for path in sorted(store.calibration.glob("*/item.json")):
-        kind, _, digest = path.parent.name.rpartition("-")
-        items.append(get_item(kind, digest, store))
-    return items
+    return [get_item(kind, digest, store) for kind, digest in item_names(store)]
+
+
+def item_names(store: Store) -> list[tuple[str, str]]:
+    """Kind and first digits of every item in the store, in order."""
+    names = sorted(path.parent.name.rpartition("-") for path in store.calibration.glob("*/item.json"))
+    return [(kind, digits) for kind, _, digits in names]
 
 
 def find_item(name: str, store: Store) -> Item:

@@ -19,13 +19,15 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 
 from store.digest import digest_array, digest_bytes
 from store.errors import DamagedChunkError, WorkError
-from store.files import Flusher, Scratch, disk_faults_named, put_if_absent, replace
+from store.files import Flusher, Scratch, disk_faults_named, put_if_absent, renewed, replace
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
 
+ChunkIndex = tuple[int, ...]
+"""A chunk's place in the chunk grid of its array."""
 RECENT_BYTES = 128_000_000
 """What a process keeps of the arrays that it has just written."""
 
@@ -92,18 +94,27 @@ class Chunks:
             return False
 
     def put(self, array: "NDArray[np.generic]") -> ChunkRef:
-        """Store an array as one chunk; an equal one that is already there is used."""
-        ref, encoded = _sealed(array)
+        """Store an array as one chunk; an equal one that is already there is used.
+
+        What is there is compared, not believed. Damaged bytes are replaced by a new file: groups that hold the old
+        one as a link are made again when they are published, or mended by `verify`.
+        """
+        ref, encoded = _stored_form(array)
         path = self.path(ref.blob)
         self._remember(ref.blob, array)
-        if self.has(ref):
-            with contextlib.suppress(OSError):
-                os.utime(path)  # in use again: `gc` must not take it for old
-        elif put_if_absent(self._scratch, path, encoded, durable=False):
+        if self._holds(path, encoded) and renewed(path):
+            return ref
+        if put_if_absent(self._scratch, path, encoded, durable=False):
             self._flusher.add(path)
-        elif not self.has(ref):
-            replace(self._scratch, path, encoded)  # what stood there had lost its end
+        elif not self._holds(path, encoded):
+            replace(self._scratch, path, encoded)
         return ref
+
+    def _holds(self, path: Path, encoded: bytes) -> bool:
+        try:
+            return os.stat(path).st_size == len(encoded) and path.read_bytes() == encoded
+        except OSError:
+            return False
 
     def _remember(self, blob: str, array: "NDArray[Any]") -> None:
         """Keep what was just written: the next stage reads it at once, and need not read and decode it."""
@@ -158,8 +169,10 @@ class Staging(Chunks):
 
     def put(self, array: "NDArray[np.generic]") -> ChunkRef:
         """Store an array for the time being; one that the store has already is not written again."""
-        ref, encoded = _sealed(array)
-        if not self._target.intact(ref) and not self.path(ref.blob).exists():
+        ref, encoded = _stored_form(array)
+        if self._target.intact(ref) and renewed(self._target.path(ref.blob)):
+            return ref
+        if not self.path(ref.blob).exists():
             put_if_absent(self._scratch, self.path(ref.blob), encoded, durable=False)
             self._flusher.add(self.path(ref.blob))
         return ref
@@ -170,7 +183,7 @@ class Staging(Chunks):
         for path in sorted(self.folder.glob("*/*")):
             target = self._target.path(path.name)
             with disk_faults_named(target):
-                target.parent.mkdir(parents=True, exist_ok=True)
+                self._scratch.make_folder(target.parent)
                 os.replace(path, target)
         self.discard()
 
@@ -181,7 +194,7 @@ class Staging(Chunks):
         shutil.rmtree(self.folder, ignore_errors=True)
 
 
-def _sealed(array: "NDArray[np.generic]") -> tuple[ChunkRef, bytes]:
+def _stored_form(array: "NDArray[np.generic]") -> tuple[ChunkRef, bytes]:
     encoded = _encode(array)
     return ChunkRef(digest_array(array), digest_bytes(encoded), len(encoded)), encoded
 

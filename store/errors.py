@@ -1,6 +1,7 @@
 """The two ways in which something can fail, each with the exit code that the command returns."""
 
 from collections.abc import Iterable
+from pathlib import Path
 
 
 class LightstageError(Exception):
@@ -29,6 +30,17 @@ class DamagedChunkError(WorkError):
     def __reduce__(self) -> tuple[type, tuple[str, str]]:
         # a second argument is not in Exception.args, and workers send exceptions pickled
         return (DamagedChunkError, (str(self), self.blob))
+
+
+class DamagedGroupError(WorkError):
+    """A file of a result or of a session's pictures is not the one that was stored, or is gone."""
+
+    def __init__(self, message: str, group: Path) -> None:
+        super().__init__(message)
+        self.group = group
+
+    def __reduce__(self) -> tuple[type, tuple[str, Path]]:
+        return (DamagedGroupError, (str(self), self.group))
 
 
 class DamagedFileError(WorkError):

@@ -1,7 +1,7 @@
 """The zarr v3 groups that anyone can open with xarray: metadata by zarr, chunks by hard link.
 
-The only module that imports zarr. It writes metadata and small coordinates; pixels are stored chunks
-already, encoded by `store.chunks` just as these arrays declare, and are linked into place.
+With `store.checked`, the only module that imports zarr. It writes metadata and small coordinates; pixels are stored
+chunks already, encoded by `store.chunks` just as these arrays declare, and are linked into place.
 """
 
 import os
@@ -11,11 +11,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from store.chunks import ChunkRef, Chunks, shuffle_for
-from store.errors import DamagedChunkError
+from store.chunks import ChunkIndex, ChunkRef, Chunks, shuffle_for
+from store.errors import DamagedChunkError, DamagedFileError, DamagedGroupError
 from store.files import link_or_copy
-
-ChunkIndex = tuple[int, ...]
+from store.notes import read_note
 
 
 @dataclass(frozen=True)
@@ -73,9 +72,11 @@ def write_group(
     import zarr
     from zarr.codecs import BloscCodec
 
+    from store.unshared import UnsharedStore
+
     secondary = [name for name, coordinate in coordinates.items() if coordinate.dims != (name,)]
     group_attrs = {**attrs, **({"coordinates": " ".join(secondary)} if secondary else {})}
-    group = zarr.create_group(folder, zarr_format=3, attributes=group_attrs)
+    group = zarr.create_group(UnsharedStore(folder), zarr_format=3, attributes=group_attrs)
     for name, array in arrays.items():
         group.create_array(
             name,
@@ -119,8 +120,21 @@ def write_group(
 def open_dataset(folder: Path) -> Any:
     """A group as an xarray dataset, decoded (integers with a scale become floats, fill becomes NaN), unchunked.
 
-    Small helper for export and pictures; users call `xarray.open_zarr` themselves.
+    Every command of ours that reads a group reads it here: each file is checked when it is read, so that nothing
+    is made of damaged bytes. Users call `xarray.open_zarr` themselves.
+
+    Raises:
+        DamagedGroupError: now or when values are read; a file is not the one that was stored, or is gone.
     """
     import xarray
 
-    return xarray.open_zarr(folder, chunks=None)
+    from store.checked import CheckedStore
+
+    group = folder.resolve()
+    try:
+        digests = read_note(group).digests
+    except OSError as error:
+        raise DamagedGroupError(f"the note of {folder} cannot be read ({error.strerror})", group) from None
+    except DamagedFileError as error:
+        raise DamagedGroupError(f"{error.path} is damaged", group) from None
+    return xarray.open_zarr(CheckedStore(group, digests), chunks=None)

@@ -18,10 +18,10 @@ from store.calibration import Item, StoredPicture, get_item, items_in, put_item
 from store.capture import SESSION_NAME, Capture, PictureFile, read_captures
 from store.chunks import ChunkRef, Chunks, Staging
 from store.digest import digest_bytes
-from store.errors import DamagedFileError, RequestError, raise_all
+from store.errors import RequestError, raise_all
 from store.picture import Picture, PictureError, decode, read_file
 from store.root import Store
-from store.sessions import Session, commit_session, read_session, session_names, show_raw
+from store.sessions import Session, SessionChangedError, commit_session, present_session, show_raw
 
 Progress = Callable[[Iterable[Any], int, str], Iterable[Any]]
 
@@ -73,7 +73,7 @@ def import_capture(
 def _import(
     capture: Capture, session_name: str, store: Store, staging: Staging, progress: Progress | None
 ) -> Imported:
-    before = _session_before(session_name, store)
+    before, standing = present_session(session_name, store)
     lost = 0 if before is None else sum(not store.chunks.intact(ref) for ref in before.refs())
     pictures = capture.pictures()
     warnings = [f"{path} is not mentioned in capture.yaml; passed over" for path in capture.extra_pictures()]
@@ -93,7 +93,6 @@ def _import(
     facts = _facts(capture)
     images = _arrange(read, facts)
     came = {kind: item.digest for kind, (item, _) in items.items()}
-    bound = _bound_items(before, came)
     source = {
         "folder": str(capture.folder),
         "files": {
@@ -108,22 +107,42 @@ def _import(
         "mask": mask_file,
         "items": came,
     }
-    session = Session(session_name, facts, shape, images, mask, bound, source, (), "")
+    found = Session(session_name, facts, shape, images, mask, came, source, (), "")
+    while True:
+        try:
+            done = _become(found, before, standing, store, lost=lost)
+        except SessionChangedError:  # an item was bound, or somebody imports it, too: again, from what stands now
+            before, standing = present_session(session_name, store)
+        else:
+            return changed(done, warnings=(*warnings, *done.warnings))
+
+
+def _become(found: Session, before: Session | None, standing: str | None, store: Store, *, lost: int) -> Imported:
+    """Let the session be what was found in its folder, with the items that are bound to it.
+
+    Args:
+        found: the session as its folder alone says.
+        before: the session as it stands, if there is one that can be read.
+        standing: the digest of what stands.
+        store: where.
+        lost: how many of its pictures were damaged or gone, and are there again.
+    """
+    session = changed(found, items=_bound_items(before, found.source["items"]))
     changes = _changes(before, session)
     if before is not None and not changes:
-        if lost or before.source != source:
+        if lost or before.source != session.source:
             # restored pictures may be stored in other bytes; or the archive has moved and nothing of it has changed
-            session = commit_session(changed(session, verdict=before.verdict), store)
-            show_raw(session, store, anew=lost > 0)
+            session = commit_session(changed(session, verdict=before.verdict), store, expected=standing)
         else:
             session = before
-            show_raw(session, store)
+        show_raw(session.name, store, anew=lost > 0)
         restored = (f"{lost} damaged or lost picture(s) were restored",) if lost else ()
-        return Imported(session, restored, tuple(warnings), new=False)
+        return Imported(session, restored, (), new=False)
     session = changed(session, verdict=tuple(_verdict(session, store)))
-    if before is not None and before.source["folder"] != source["folder"]:
-        warnings.append(f"session '{session_name}' came from {before.source['folder']} before")
-    session = commit_session(session, store)
+    warnings = []
+    if before is not None and before.source["folder"] != session.source["folder"]:
+        warnings.append(f"session '{session.name}' came from {before.source['folder']} before")
+    session = commit_session(session, store, expected=standing)
     return Imported(session, tuple(changes), tuple(warnings), new=before is None)
 
 
@@ -139,16 +158,6 @@ def _bound_items(before: Session | None, came: Mapping[str, str]) -> dict[str, s
         if kind not in came and bound.get(kind) == digest:
             del bound[kind]
     return bound
-
-
-def _session_before(name: str, store: Store) -> Session | None:
-    """The session of that name, or None where there is none, or none that can be read."""
-    if name not in session_names(store):
-        return None
-    try:
-        return read_session(name, store)
-    except DamagedFileError:
-        return None
 
 
 def _facts(capture: Capture) -> dict[str, Any]:

@@ -7,10 +7,11 @@
                    the graph nor the stages
 
 A block record is the truth; the other two are shortcuts that can be deleted at any time. A record is written
-after its chunks, in one step, and is trusted only while its chunks are there.
+after its chunks, in one step, and is trusted only while its chunks are there. It is sealed and says its own key;
+one that is damaged is forgotten, and what it knew is computed again.
 """
 
-import json
+import contextlib
 import os
 import re
 from collections.abc import Iterator, Mapping
@@ -19,8 +20,11 @@ from pathlib import Path
 from typing import Any
 
 from store.chunks import ChunkRef
-from store.errors import WorkError
+from store.errors import DamagedFileError, WorkError
 from store.files import Scratch, put_if_absent, replace
+from store.sealed import seal, unseal
+
+KINDS = ("blocks", "nodes", "runs")
 
 
 @dataclass(frozen=True)
@@ -82,26 +86,23 @@ class Records:
     def _path(self, kind: str, key: str) -> Path:
         return self.folder / kind / key[:2] / f"{key}.json"
 
-    def _read(self, kind: str, key: str) -> Any:
+    def _read(self, kind: str, key: str) -> dict[str, Any] | None:
+        path = self._path(kind, key)
         try:
-            with open(self._path(kind, key), "rb") as file:
-                return json.loads(file.read())
-        except FileNotFoundError:
-            return None
+            with open(path, "rb") as file:
+                return _unsealed(file.read(), path)
         except OSError:
             return None
-        except ValueError:
+        except DamagedFileError:
             # only a fault of the disk can do this (records appear whole): forget it and compute again
-            self._path(kind, key).unlink(missing_ok=True)
+            with contextlib.suppress(OSError):  # of a store that is only read
+                path.unlink(missing_ok=True)
             return None
 
     def block(self, key: str) -> BlockRecord | None:
         """The record of a block, if it was ever computed."""
         plain = self._read("blocks", key)
-        try:
-            return None if plain is None else BlockRecord.from_plain(plain)
-        except (KeyError, TypeError, AttributeError, IndexError):
-            return None
+        return None if plain is None else BlockRecord.from_plain(plain)
 
     def put_block(self, record: BlockRecord) -> tuple[BlockRecord, bool]:
         """Commit a block. Returns the record that now stands, and whether it agrees with the one given.
@@ -110,11 +111,14 @@ class Records:
         not deterministic.
         """
         path = self._path("blocks", record.key)
-        data = json.dumps(record.as_plain(), separators=(",", ":")).encode()
-        if put_if_absent(self._scratch, path, data):
-            return record, True
-        standing = self.block(record.key)
-        if standing is None or standing.key != record.key:
+        standing = None
+        for _ in range(3):  # a damaged record is forgotten on reading, and does not stand in the way again
+            if put_if_absent(self._scratch, path, seal(record.as_plain())):
+                return record, True
+            standing = self.block(record.key)
+            if standing is not None:
+                break
+        if standing is None:
             raise WorkError(f"the record {path} changed while it was read; run again")
         same = {n: [r.value for r in refs] for n, refs in standing.outputs.items()} == {
             n: [r.value for r in refs] for n, refs in record.outputs.items()
@@ -123,39 +127,56 @@ class Records:
 
     def renew_block(self, record: BlockRecord) -> None:
         """Replace a record whose chunks were lost."""
-        data = json.dumps(record.as_plain(), separators=(",", ":")).encode()
-        replace(self._scratch, self._path("blocks", record.key), data)
+        replace(self._scratch, self._path("blocks", record.key), seal(record.as_plain()))
 
     def node(self, key: str) -> list[BlockRecord] | None:
         """The records of all blocks of a node, in the node's block order."""
         plain = self._read("nodes", key)
-        try:
-            return None if plain is None else [BlockRecord.from_plain(block) for block in plain]
-        except (KeyError, TypeError, AttributeError, IndexError):
-            return None
+        return None if plain is None else [BlockRecord.from_plain(block) for block in plain["blocks"]]
 
     def put_node(self, key: str, blocks: list[BlockRecord]) -> None:
         """Remember a complete node."""
         slim = [{**block.as_plain(), "trace": {}} for block in blocks]
-        replace(self._scratch, self._path("nodes", key), json.dumps(slim, separators=(",", ":")).encode())
+        replace(self._scratch, self._path("nodes", key), seal({"key": key, "blocks": slim}))
 
     def run(self, key: str) -> dict[str, Any] | None:
         """What a fully cached request may answer with."""
         plain = self._read("runs", key)
-        return plain if isinstance(plain, dict) else None
+        return None if plain is None else dict(plain["answer"])
 
     def put_run(self, key: str, plain: Mapping[str, Any]) -> None:
         """Remember a finished request."""
-        replace(self._scratch, self._path("runs", key), json.dumps(plain, separators=(",", ":")).encode())
+        replace(self._scratch, self._path("runs", key), seal({"key": key, "answer": dict(plain)}))
 
     def files(self, kind: str) -> Iterator[Path]:
-        """All record files of a kind: blocks, nodes or runs."""
+        """All record files of a kind."""
         folder = self.folder / kind
         if folder.is_dir():
             for entry in sorted(os.scandir(folder), key=lambda item: item.name):
                 yield from sorted(Path(entry.path).glob("*.json"))
 
 
+def intact_record(path: Path) -> bool:
+    """Whether a record is as it was written, under its own key.
+
+    Raises:
+        FileNotFoundError: it is gone.
+    """
+    try:
+        _unsealed(path.read_bytes(), path)
+    except DamagedFileError:
+        return False
+    return True
+
+
+def _unsealed(data: bytes, path: Path) -> dict[str, Any]:
+    remedy = "what it knew is computed again"
+    plain = unseal(data, path, remedy)
+    if plain.get("key") != path.stem:
+        raise DamagedFileError(path, remedy)
+    return plain
+
+
 def blobs_named(record: Path) -> set[str]:
     """Everything in a record that may be the name of a chunk."""
-    return set(re.findall(r"[0-9a-f]{32}", record.read_text()))
+    return {name.decode() for name in re.findall(rb"[0-9a-f]{32}", record.read_bytes())}

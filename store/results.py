@@ -1,11 +1,9 @@
 """Results: `results/<session>/<node>/<recipe>-<manifest>/`, plain zarr groups that never change.
 
-Beside each group lies `<recipe>-<manifest>.json`, its provenance (how it was made, when, where), and beside
-them the text file `current`, which names the group that the last run used.
+Beside each group lies `<recipe>-<manifest>.json`, its note: what its files are, and how it was made, when and
+where. Beside them the text file `current` names the group that the last run used.
 """
 
-import contextlib
-import json
 import os
 import shutil
 from collections.abc import Mapping
@@ -13,11 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from store.chunks import ChunkRef
-from store.digest import digest_bytes
-from store.errors import RequestError
-from store.files import disk_faults_named, replace
-from store.grid import ArrayTemplate, ChunkIndex, Coordinate, write_group
+from store.errors import DamagedFileError, RequestError
+from store.files import disk_faults_named, renewed, replace
+from store.grid import ArrayTemplate, Coordinate, write_group
+from store.notes import Placed, note_path, read_note, whole, write_note
 from store.root import Store
 
 
@@ -47,17 +44,14 @@ def publish(
     arrays: Mapping[str, ArrayTemplate],
     coordinates: Mapping[str, Coordinate],
     attrs: Mapping[str, Any],
-    chunks: Mapping[str, Mapping[ChunkIndex, ChunkRef]],
+    chunks: Placed,
     provenance: Mapping[str, Any],
 ) -> Path:
     """Make the group appear, whole, unless it is there already."""
     path = name.path(store)
-    if path.is_dir() and not (_whole(path, chunks) and path.with_name(f"{path.name}.json").is_file()):
+    if path.is_dir() and not whole(path, chunks, store.chunks):
         store.scratch.remove(path)
-    if path.is_dir():
-        with contextlib.suppress(OSError):
-            os.utime(path.with_name(f"{path.name}.json"))  # in use again: `gc` must not take it for old
-    else:
+    if not (path.is_dir() and renewed(note_path(path))):
         temporary = store.scratch.path()
         with disk_faults_named(path):
             write_group(
@@ -69,9 +63,8 @@ def publish(
                 source=store.chunks,
             )
             store.chunks.flush()
-            path.parent.mkdir(parents=True, exist_ok=True)
-            note = {**provenance, "files": _own_files(temporary, chunks)}
-            replace(store.scratch, path.with_name(f"{path.name}.json"), json.dumps(note, indent=1).encode())
+            store.scratch.make_folder(path.parent)
+            write_note(store.scratch, path, temporary, chunks, provenance)
             try:
                 os.rename(temporary, path)
             except OSError:
@@ -79,28 +72,6 @@ def publish(
                     raise
                 shutil.rmtree(temporary)
     return path
-
-
-def _own_files(group: Path, chunks: Mapping[str, Mapping[ChunkIndex, ChunkRef]]) -> dict[str, str]:
-    """Digests of what is not a link to a stored chunk: metadata and coordinates."""
-    links = {chunk_file(array, index) for array, placed in chunks.items() for index in placed}
-    files = (path for path in sorted(group.rglob("*")) if path.is_file())
-    names = {path.relative_to(group).as_posix(): path for path in files}
-    return {name: digest_bytes(path.read_bytes()) for name, path in names.items() if name not in links}
-
-
-def _whole(path: Path, chunks: Mapping[str, Mapping[ChunkIndex, ChunkRef]]) -> bool:
-    """Whether a group has its metadata and every chunk with its full length."""
-    return (path / "zarr.json").is_file() and all(
-        (path / array / "zarr.json").is_file()
-        and all(_has(path, chunk_file(array, index), ref.size) for index, ref in placed.items())
-        for array, placed in chunks.items()
-    )
-
-
-def chunk_file(array: str, index: ChunkIndex) -> str:
-    """Where a chunk lies in a group, after zarr's default naming."""
-    return f"{array}/c/{'/'.join(map(str, index))}"
 
 
 def _has(group: Path, file: str, size: int) -> bool:
@@ -121,10 +92,11 @@ def lacks(path: Path, made: Mapping[str, Any]) -> list[str]:
     return missing
 
 
-def set_current(name: ResultName, store: Store) -> None:
-    """Say that this is the result that the last run used."""
+def set_current(name: ResultName, store: Store) -> bool:
+    """Say that this is the result that the last run used; returns whether it is there, and so stays there."""
     if current(name.session, name.node, store) != name.folder:
         replace(store.scratch, store.results / name.session / name.node / "current", f"{name.folder}\n".encode())
+    return current(name.session, name.node, store) == name.folder
 
 
 def current(session: str, node: str, store: Store) -> str | None:
@@ -160,8 +132,6 @@ def current_path(session: str, node: str, store: Store) -> Path:
 def provenance(session: str, node: str, folder: str, store: Store) -> dict[str, Any] | None:
     """How a result was made, if it is known."""
     try:
-        data = (store.results / session / node / f"{folder}.json").read_bytes()
-        plain = json.loads(data)
-    except (FileNotFoundError, ValueError):
+        return dict(read_note(store.results / session / node / folder).made)
+    except (OSError, DamagedFileError):
         return None
-    return plain if isinstance(plain, dict) else None

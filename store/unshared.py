@@ -1,6 +1,6 @@
 """A group being written where nobody else writes: zarr's local store, without the links that it makes for company.
 
-zarr puts the metadata of a new group or array where none is yet by a hard link, which some file systems do not have.
+zarr puts the metadata of a new group where none is yet by a hard link, which some file systems do not have.
 """
 
 from zarr.core.buffer import Buffer
