@@ -17,6 +17,11 @@ from store.digest import digest_bytes
 from store.errors import RequestError, WorkError
 
 
+def noted(picture: Path, shown: str) -> str:
+    """What stands beside a picture that the store keeps: which results it shows, and the digest of its bytes."""
+    return f"{shown}{digest_bytes(picture.read_bytes())}\n"
+
+
 class Delivery:
     """What one command puts into one folder."""
 

@@ -514,6 +514,7 @@ def session_film(session: "Session", node: str, store: Store, screen: Screen) ->
     Raises:
         RequestError: the node has no normals in time.
     """
+    from cli.deliver import noted
     from store.grid import open_dataset
     from store.results import current_path
 
@@ -521,10 +522,10 @@ def session_film(session: "Session", node: str, store: Store, screen: Screen) ->
     folder = store.root / "pictures"
     path = folder / f"{session.name}_{node}.mp4"
     note = path.with_suffix(".txt")
-    if path.is_file() and note.is_file() and note.read_text() == f"{result}\n":
+    if path.is_file() and note.is_file() and note.read_text() == noted(path, f"{result}\n"):
         return path
     folder.mkdir(exist_ok=True)
     note.unlink(missing_ok=True)
     export_film(open_dataset(result), node, session, folder, screen, form="mp4", convention="opengl", fps=None)
-    note.write_text(f"{result}\n")
+    note.write_text(noted(path, f"{result}\n"))
     return path

@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 from typing import Any
 
+from cli.deliver import noted
 from store.errors import RequestError
 from store.results import current_path
 from store.root import Store
@@ -21,13 +22,13 @@ def contact_sheet(session: str, store: Store) -> Path:
     shown = f"{current_path(session, 'stack', store)}\n{current_path(session, 'normals', store)}\n"
     path = store.root / "pictures" / f"{session}.png"
     note = path.with_suffix(".txt")
-    if path.is_file() and note.is_file() and note.read_text() == shown:
+    if path.is_file() and note.is_file() and note.read_text() == noted(path, shown):
         return path
     path.parent.mkdir(exist_ok=True)
     temporary = path.with_name(f".{session}.part.png")
     _draw(session, store, temporary)
     os.replace(temporary, path)
-    note.write_text(shown)
+    note.write_text(noted(path, shown))
     return path
 
 

@@ -232,14 +232,19 @@ def commit_session(session: Session, store: Store, *, expected: str | None) -> S
     """
     data = seal(_as_plain(session))
     session = changed(session, digest=digest_bytes(data))
+    _expect(expected, session.name, store)
     write_raw(session, store)
     with _changing(session.name, store, new=expected is None):
-        standing = _standing(session.name, store)
-        if (None if standing is None else digest_bytes(standing)) != expected:
-            raise SessionChangedError(f"session '{session.name}' was changed by another command; run again")
+        _expect(expected, session.name, store)
         files.replace(store.scratch, store.sessions / session.name / "session.json", data)
         _link_raw(session, store)
     return session
+
+
+def _expect(digest: str | None, name: str, store: Store) -> None:
+    data = _standing(name, store)
+    if (None if data is None else digest_bytes(data)) != digest:
+        raise SessionChangedError(f"session '{name}' was changed by another command; run again")
 
 
 @contextlib.contextmanager
