@@ -80,13 +80,10 @@ def handle_demo(options: argparse.Namespace, screen: Screen) -> int:
     for option, value in (("--tracking", options.tracking), ("--motion", options.motion)):
         if value is not None and not performance:
             raise RequestError(f"{option} {value}: only a performance has it; add --sequence wilson or minimal")
-    from store.capture import SESSION_NAME
+    from store.capture import NAME_RULE, SESSION_NAME
 
     if not SESSION_NAME.fullmatch(options.session):
-        raise RequestError(
-            f"--session '{options.session}': a name begins with a letter or a digit and goes on with those, "
-            "'.', '_' and '-'"
-        )
+        raise RequestError(f"--session '{options.session}': a name has {NAME_RULE}")
     if len(set(bands)) < len(bands):
         raise RequestError(f"--bands {wavelengths}: a wavelength stands twice")
     if options.target:

@@ -9,6 +9,7 @@ The digest is of the numbers alone: other formatting, another comment, another r
 """
 
 import json
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -106,8 +107,8 @@ class LightsItem(_Item):
 
     @model_validator(mode="after")
     def _each_once(self) -> "LightsItem":
-        names = [light.id for light in self.lights]
-        twice = sorted({name for name in names if names.count(name) > 1})
+        names = Counter(light.id for light in self.lights)
+        twice = sorted(name for name, count in names.items() if count > 1)
         if twice:
             raise ValueError(f"light {twice[0]} stands twice")
         return self
