@@ -109,7 +109,8 @@ def load_graph(path: Path, table: Mapping[str, str], *, overrides: Sequence[str]
         at = ("stages", name)
         if not NAME.fullmatch(name) or name == "current":
             problems.append(
-                f"{source.at(at)}: '{document.short(name)}' cannot name a node, because it names a folder: {NAME_RULE}"
+                f"{source.at(at)}: '{document.short(name)}' cannot name a node, because it names a folder: "
+                f"{NAME_RULE}"
             )
         if entry.uses not in table:
             spot = source.at((*at, "uses"))
@@ -122,7 +123,10 @@ def load_graph(path: Path, table: Mapping[str, str], *, overrides: Sequence[str]
         for upper in above:
             if upper not in names:
                 spot = source.at((*at, "from"))
-                problems.append(f"{spot}: '{name}' reads '{document.short(upper)}', which is no node here{nearest(upper, names)}")
+                problems.append(
+                    f"{spot}: '{name}' reads '{document.short(upper)}', which is no node here"
+                    f"{nearest(upper, names)}"
+                )
         if len(above) != stage.sources:
             spot = source.at((*at, "from"))
             wants = f"{stage.sources} node(s)" if stage.sources else "none: it brings in the session"

@@ -20,7 +20,7 @@ from store import document
 from store.errors import RequestError, raise_all
 from store.picture import EXTENSIONS, Picture, PictureError, decode, linear_from_srgb
 
-ILLUMINATION = re.compile(r"C|[XYZ]c?|L[0-9]+|T[0-3]|O")
+ILLUMINATION = re.compile(r"C|[XYZ]c?|L[0-9]{1,6}|T[0-3]|O")
 SESSION_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 NAME_RULE = "up to 100 letters, digits, dots, dashes and underscores, of which the first is a letter or digit"
 Polarisation = Literal["parallel", "cross", "unpolarised"]
@@ -345,7 +345,7 @@ def read_capture(folder: Path) -> Capture:
     Raises:
         RequestError: it is missing or wrong; every problem is listed.
     """
-    folder = folder.expanduser()
+    folder = Path(os.path.expanduser(folder))  # unlike Path.expanduser it leaves ~nobody as it is
     if not folder.is_dir():
         raise RequestError(f"{folder} is not a folder; expected a capture folder with capture.yaml in it")
     source = document.load(folder / "capture.yaml", what="the description of the capture")

@@ -1,7 +1,7 @@
 """YAML with positions: every value knows its line and column, and a model says what is wrong with it.
 
-Reads the core schema of YAML 1.2 (so `1e-3` is a number and `no` is text), refuses duplicate keys, tags, anchors and
-aliases, and turns a sequence into a tuple. `check` validates against a pydantic model and reports everything
+Reads the core schema of YAML 1.2 (so `1e-3` is a number and `no` is text), refuses duplicate keys, tags, anchors
+and aliases, and turns a sequence into a tuple. `check` validates against a pydantic model and reports everything
 that is wrong at once, one line each: `file:line:column: what was found, and what would be right`.
 
 Whoever wrote the file, it costs little: the parser's events are taken one by one and nothing is composed, so that
@@ -162,7 +162,9 @@ class _Builder:
         elif isinstance(event, yaml.CollectionEndEvent):
             self._end()
         elif isinstance(event, yaml.AliasEvent):
-            raise RequestError(f"{self._place(event)}: the alias *{short(event.anchor)} is not read here; {_WRITE_OUT}")
+            raise RequestError(
+                f"{self._place(event)}: the alias *{short(event.anchor)} is not read here; {_WRITE_OUT}"
+            )
         elif isinstance(event, yaml.DocumentStartEvent):
             self._documents += 1
             if self._documents > 1:
@@ -178,7 +180,9 @@ class _Builder:
 
     def _refuse_names(self, event: Any) -> None:
         if event.anchor is not None:
-            raise RequestError(f"{self._place(event)}: the anchor &{short(event.anchor)} is not read here; {_WRITE_OUT}")
+            raise RequestError(
+                f"{self._place(event)}: the anchor &{short(event.anchor)} is not read here; {_WRITE_OUT}"
+            )
         if event.tag is not None:
             self._problem(event, f"the tag {short(event.tag)} is not known; plain YAML is expected")
 
@@ -203,7 +207,9 @@ class _Builder:
 
     def _start(self, event: Any) -> None:
         if len(self._open) == MOST_DEPTH:
-            raise RequestError(f"{self._place(event)}: lists and keys lie more than {MOST_DEPTH} deep in each other")
+            raise RequestError(
+                f"{self._place(event)}: lists and keys lie more than {MOST_DEPTH} deep in each other"
+            )
         around = self._open[-1] if self._open else None
         if around is not None and isinstance(around.value, dict) and around.key is None:
             raise RequestError(f"{self._place(event)}: a key must be plain text")
@@ -295,7 +301,8 @@ def check(document: Document, model: type[Model], *, where: Where = ()) -> Model
 def problems(error: "ValidationError", model: "type[BaseModel]", value: Any) -> list[tuple[Where, str]]:
     """What pydantic found wrong with a value, and where in it; no more than a person would read."""
     # the errors of a union come in a location of branches that nobody has written
-    found = [(_written(dict(problem), value), dict(problem)) for problem in error.errors(include_url=False)]
+    listed: list[dict[str, Any]] = [dict(problem) for problem in error.errors(include_url=False)]
+    found = [(_written(problem, value), problem) for problem in listed]
     deeper = {problem["loc"][: i + 1] for _, problem in found for i in range(len(problem["loc"]) - 1)}
     # a list whose element is wrong is also "too short", which nobody needs to hear
     found = [(at, p) for at, p in found if not (p["type"] == "too_short" and p["loc"] in deeper)]
@@ -311,7 +318,8 @@ def _written(problem: Mapping[str, Any], value: Any) -> Where:
     A location also names the branches of unions (`str`, `tuple[str, ...]`, a target's kind), and a key may have the
     name of one: of the ways to read it, the one that leads to the object that pydantic complains of is right.
     """
-    steps, last = tuple(problem["loc"]), ()
+    steps: Where = tuple(problem["loc"])
+    last: Where = ()
     if problem["type"] == "missing":
         steps, last = steps[:-1], steps[-1:]
     ways = list(_ways(steps, value))
@@ -325,13 +333,17 @@ def _ways(steps: Where, value: Any) -> Iterator[tuple[Where, Any]]:
         yield (), value
         return
     step, rest = steps[0], steps[1:]
-    inside = isinstance(value, dict) and step in value
-    inside |= isinstance(value, tuple) and isinstance(step, int) and step < len(value)
-    if inside:
+    if _holds(value, step):
         for way, end in _ways(rest, value[step]):
             yield (step, *way), end
     if isinstance(step, str):
         yield from _ways(rest, value)
+
+
+def _holds(value: Any, step: str | int) -> bool:
+    if isinstance(value, tuple):
+        return isinstance(step, int) and step < len(value)
+    return isinstance(value, dict) and step in value
 
 
 _PLAIN_WORDS = {
@@ -398,8 +410,10 @@ def _fields(model: Any, value: Any, location: Where) -> Mapping[str, str]:
     """The keys that may stand at a place, each with its description; none where the place is no model's."""
     kinds = [model]
     for step in location:
-        kinds = [inner for one in _fitting(kinds, value) for deeper in _within(one, step) for inner in _members(deeper)]
-        value = value[step] if isinstance(value, dict | tuple) else None
+        kinds = [
+            inner for one in _fitting(kinds, value) for deeper in _within(one, step) for inner in _members(deeper)
+        ]
+        value = value[step] if _holds(value, step) else None
     return {
         info.alias or name: info.description or ""
         for one in _fitting(kinds, value)
