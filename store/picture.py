@@ -8,20 +8,16 @@ values, a TIFF's tags) may be altered without anybody's noticing.
 """
 
 import io
-import logging
 import struct
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from store.intake import FileError
-
-if TYPE_CHECKING:
-    from tifffile import TiffPage
 
 Picture = NDArray[Any]
 EXTENSIONS = (".png", ".tif", ".tiff")
@@ -46,8 +42,12 @@ _PHOTOMETRICS = {
     32803: "holds a colour filter array (CFA, Bayer); save it as grey or RGB",
 }
 
-# a damaged file is refused in our words; without a handler logging would print tifffile's beside them
-logging.getLogger("tifffile").addHandler(logging.NullHandler())
+_FORMATS = {1: "uint", 2: "int", 3: "float"}
+_TYPES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4, 16: 8, 17: 8, 18: 8}
+"""Of a TIFF's tags: bytes a value."""
+_WHOLE = {1: "B", 3: "H", 4: "I", 13: "I", 16: "Q", 18: "Q"}
+_MOST_NUMBERS = 1 << 20
+"""That one tag may hold: the widest picture in tiles of 16 x 16."""
 
 
 class PictureError(FileError):
@@ -72,7 +72,7 @@ class Declared:
     @property
     def size(self) -> int:
         """Bytes of the values, decoded."""
-        return self.height * self.width * self.channels * (self.bits + 7) // 8
+        return self.height * self.width * self.channels * ((self.bits + 7) // 8)
 
 
 def declared(file: BinaryIO) -> Declared:
@@ -87,7 +87,7 @@ def declared(file: BinaryIO) -> Declared:
     if start[:8] == _PNG:
         return _sane(_declared_by_png(start))
     if start[:4] in _TIFF:
-        return _declared_by_tiff(file)
+        return _tiff_layout(file).promised
     raise PictureError("is not a PNG or TIFF picture")
 
 
@@ -160,6 +160,7 @@ def _check_part(data: bytes, offset: int, end: int) -> None:
 def _decoded_by_opencv(data: bytes | bytearray, kind: str) -> Picture:
     import cv2
 
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # a damaged file is refused in our words
     try:
         picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error as error:
@@ -207,97 +208,162 @@ class _Layout:
                     yield channel, y, min(self.rows, height - y), x, min(columns, width - x)
 
 
-def _declared_by_tiff(file: BinaryIO) -> Declared:
-    return _tiff_layout(file).promised
-
-
 def _tiff_layout(file: BinaryIO) -> _Layout:
-    import tifffile
-
-    file.seek(0)
-    try:
-        with tifffile.TiffFile(file) as tiff:
-            page = tiff.pages[0]
-            layout = _layout_of(page, big_endian=tiff.byteorder == ">")
-            if len(tiff.pages) > 1:
-                raise PictureError(f"holds {len(tiff.pages)} pictures; a file holds one")
-    except PictureError:
-        raise
-    except Exception as error:  # noqa: BLE001  tifffile raises many kinds
-        raise PictureError(f"cannot be decoded as TIFF ({error or type(error).__name__})") from None
-    size = file.seek(0, io.SEEK_END)
-    _check_places(layout, size)
-    return layout
-
-
-def _layout_of(page: "TiffPage", *, big_endian: bool) -> _Layout:
-    def tag(name: str, default: Any) -> Any:
-        found = page.tags.get(name)
-        return default if found is None else found.value
-
-    bits = tag("BitsPerSample", 1)
-    bits = set(bits) if isinstance(bits, tuple) else {bits}
-    formats = tag("SampleFormat", 1)
-    formats = set(formats) if isinstance(formats, tuple) else {formats}
-    photometric = int(tag("PhotometricInterpretation", -1))
+    tags = _Tags(file)
+    bits, formats = set(tags.numbers(258, (1,))), set(tags.numbers(339, (1,)))
+    photometric = tags.number(262, -1)
     if photometric not in (1, 2):
-        raise PictureError(
-            _PHOTOMETRICS.get(photometric, f"has the unknown photometric interpretation {photometric}")
-        )
-    if formats != {1} or not bits <= {8, 16} or len(bits) != 1:
-        held = str(page.dtype) if page.dtype is not None else f"{sorted(bits)}-bit"
+        other = f"has the unknown photometric interpretation {photometric}"
+        raise PictureError(_PHOTOMETRICS.get(photometric, other))
+    if formats != {1} or bits not in ({8}, {16}):
+        kinds = "/".join(_FORMATS.get(one, "unknown") for one in sorted(formats))
+        held = f"{kinds}{'/'.join(map(str, sorted(bits)))}"
         raise PictureError(f"holds {held} values; 8- or 16-bit integers are expected")
-    promised = _sane(Declared(page.imagelength, page.imagewidth, page.samplesperpixel, bits.pop()))
+    promised = _sane(Declared(tags.number(257), tags.number(256), tags.number(277, 1), bits.pop()))
     if photometric == 2 and promised.channels < 3:
         raise PictureError(f"is damaged: it is RGB and has {promised.channels} channel(s)")
-    compression, predictor = int(tag("Compression", 1)), int(tag("Predictor", 1))
+    compression, predictor = tags.number(259, 1), tags.number(317, 1)
     if compression not in (*_NONE, *_LZW, *_DEFLATE, *_PACKBITS):
-        name = getattr(page.compression, "name", compression)
-        raise PictureError(f"is compressed as {name}; none, deflate, LZW or PackBits are expected")
+        name = "JPEG" if compression in (6, 7) else f"number {compression}"
+        raise PictureError(f"is compressed by {name}; none, deflate, LZW or PackBits are expected")
     if predictor not in (1, 2):
         raise PictureError(f"has the predictor {predictor}; none or horizontal differences are expected")
-    if int(tag("FillOrder", 1)) != 1:
+    if tags.number(266, 1) != 1:
         raise PictureError("holds its bits from the lowest on (FillOrder 2); save it with the usual order")
-    apart = promised.channels > 1 and int(tag("PlanarConfiguration", 1)) == 2
-    tile = (int(page.tilelength), int(page.tilewidth)) if page.is_tiled else None
-    rows = tile[0] if tile else min(int(tag("RowsPerStrip", promised.height)), promised.height)
-    if rows < 1 or (tile and (min(tile) < 1 or max(tile) > WIDEST_PX)):
-        raise PictureError("is damaged: its strips or tiles have no size that can be")
-    turned = page.tags.get("Orientation")
-    return _Layout(
+    planes = tags.number(284, 1)
+    tiled = 324 in tags
+    tile = (tags.number(323), tags.number(322)) if tiled else None
+    rows = tile[0] if tile else min(tags.number(278, promised.height), promised.height)
+    if planes not in (1, 2) or rows < 1 or (tile and (min(tile) < 1 or max(tile) > WIDEST_PX)):
+        raise PictureError("is damaged: its values are laid out in no way that can be")
+    offsets, counts = (tags.numbers(code) for code in ((324, 325) if tiled else (273, 279)))
+    if len(offsets) != len(counts):
+        raise PictureError("is damaged: it has offsets and lengths of different number")
+    layout = _Layout(
         promised,
         compression,
         predictor,
-        apart,
-        big_endian,
+        promised.channels > 1 and planes == 2,
+        tags.order == ">",
         tile,
         rows,
-        tuple(zip(page.dataoffsets, page.databytecounts, strict=True)),
-        None if turned is None else turned.valueoffset,
+        tuple(zip(offsets, counts, strict=True)),
+        tags.place_of.get(274),
     )
+    _check_places(layout, tags)
+    return layout
 
 
-def _check_places(layout: _Layout, size: int) -> None:
+class _Tags:
+    """The tags of a TIFF's one picture, as far as they are whole numbers; TIFF 6.0, and BigTIFF."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        """Read them.
+
+        Raises:
+            PictureError: the file is cut short, its tags are damaged, or it holds several pictures.
+        """
+        self._file = file
+        self.size = file.seek(0, io.SEEK_END)
+        self.order = "<" if self._read(0, 2) == b"II" else ">"
+        self._big = 43 in self._read(2, 2)
+        self.place_of: dict[int, int] = {}
+        """Byte of the file at which a tag's values stand."""
+        self.places: list[tuple[int, int]] = [(0, 16 if self._big else 8)]
+        """(offset, bytes) of everything but the picture's values."""
+        self._found: dict[int, tuple[int, int]] = {}
+        at = self._at("HHQ", 4)[2] if self._big else self._at("I", 4)[0]
+        seen: list[int] = []
+        while at:
+            if at in seen or len(seen) == 1000:
+                raise PictureError("is damaged: its pictures refer to each other in a circle")
+            following = self._directory(at, first=not seen)
+            seen.append(at)
+            at = following
+        if len(seen) != 1:
+            raise PictureError(f"holds {len(seen)} pictures; a file holds one")
+
+    def _read(self, at: int, count: int) -> bytes:
+        if at + count > self.size:
+            raise PictureError(f"is truncated: the TIFF has {self.size} bytes and needs {at + count}")
+        self._file.seek(at)
+        return self._file.read(count)
+
+    def _at(self, form: str, at: int) -> tuple[int, ...]:
+        return struct.unpack(self.order + form, self._read(at, struct.calcsize("=" + form)))
+
+    def _directory(self, at: int, *, first: bool) -> int:
+        """Where the next picture's tags stand, 0 for none; the first one's are kept."""
+        count_form, entry_form, offset_form = ("Q", "HHQ", "Q") if self._big else ("H", "HHI", "I")
+        wide = struct.calcsize("=" + entry_form)
+        inside = struct.calcsize("=" + offset_form)
+        (count,) = self._at(count_form, at)
+        begin = at
+        at += struct.calcsize("=" + count_form)
+        for _ in range(count if first else 0):
+            code, kind, length = self._at(entry_form, at)
+            if kind not in _TYPES:
+                raise PictureError(f"is damaged: its tag {code} is of the unknown type {kind}")
+            place = at + wide
+            if length * _TYPES[kind] > inside:
+                (place,) = self._at(offset_form, place)
+                self.places.append((place, length * _TYPES[kind]))
+            if code in self._found:
+                raise PictureError(f"is damaged: its tag {code} stands twice")
+            self._found[code] = kind, length
+            self.place_of[code] = place
+            at += wide + inside
+        if first:
+            self.places.append((begin, at + inside - begin))
+        else:
+            at += count * (wide + inside)
+        return self._at(offset_form, at)[0]
+
+    def __contains__(self, code: int) -> bool:
+        return code in self._found
+
+    def numbers(self, code: int, default: tuple[int, ...] | None = None) -> tuple[int, ...]:
+        """The whole numbers of a tag."""
+        if code not in self._found:
+            if default is None:
+                raise PictureError(f"is damaged: its tag {code} is missing")
+            return default
+        kind, length = self._found[code]
+        if kind not in _WHOLE or not 0 < length <= _MOST_NUMBERS:
+            raise PictureError(f"is damaged: its tag {code} holds no whole numbers")
+        return self._at(f"{length}{_WHOLE[kind]}", self.place_of[code])
+
+    def number(self, code: int, default: int | None = None) -> int:
+        """The one whole number of a tag."""
+        found = self.numbers(code, None if default is None else (default,))
+        if len(found) != 1:
+            raise PictureError(f"is damaged: its tag {code} holds {len(found)} numbers, not one")
+        return found[0]
+
+
+def _check_places(layout: _Layout, tags: _Tags) -> None:
     part = "tile" if layout.tile else "strip"
     if len(layout.places) != layout.count:
         raise PictureError(f"is damaged: it has {len(layout.places)} {part}s of values and needs {layout.count}")
-    last = 0
-    for offset, count in sorted(layout.places):
-        if offset < 8 or count < 1:
-            raise PictureError(f"is damaged: a {part} of its values is missing")
-        if offset < last:
-            raise PictureError(f"is damaged: two {part}s of its values lie over each other")
-        last = offset + count
-    if last > size:
-        raise PictureError(f"is truncated: the TIFF has {size} bytes and needs {last}")
+    if not all(offset and count for offset, count in layout.places):
+        raise PictureError(f"is damaged: a {part} of its values is missing")
+    ends = {True: 0, False: 0}  # of values so far, and of tags; two tags may share a place
+    for offset, count, values in sorted(
+        [*((*place, True) for place in layout.places), *((*place, False) for place in tags.places)]
+    ):
+        if offset < max(ends.values() if values else [ends[True]]):
+            raise PictureError(f"is damaged: a {part} of its values lies over another, or over its tags")
+        ends[values] = max(ends[values], offset + count)
+    if ends[True] > tags.size:
+        raise PictureError(f"is truncated: the TIFF has {tags.size} bytes and needs {ends[True]}")
 
 
 def _decode_tiff(data: bytes) -> Picture:
     layout = _tiff_layout(io.BytesIO(data))
-    if layout.compression in (*_NONE, *_DEFLATE):
+    if layout.compression not in _LZW:
         return _assembled(data, layout)
     if layout.apart:
-        raise PictureError("is compressed and keeps its channels apart; save it with deflate, or pixel by pixel")
+        raise PictureError("is LZW and keeps its channels apart; save it with deflate, or pixel by pixel")
     if layout.orientation_at is None:
         return _decoded_by_opencv(data, "TIFF")
     # OpenCV would turn the picture; raw keeps the sensor's orientation
@@ -309,7 +375,7 @@ def _decode_tiff(data: bytes) -> Picture:
 
 
 def _assembled(data: bytes, layout: _Layout) -> Picture:
-    """The picture of strips or tiles that are plain or deflated."""
+    """The picture of strips or tiles that are plain, deflated or PackBits."""
     promised = layout.promised
     together = 1 if layout.apart else promised.channels
     stored = np.dtype("u1" if promised.bits == 8 else ">u2" if layout.big_endian else "<u2")
@@ -320,6 +386,8 @@ def _assembled(data: bytes, layout: _Layout) -> Picture:
         values: Any = memoryview(data)[offset : offset + count]
         if layout.compression in _DEFLATE:
             values = _inflated(values, needed)
+        elif layout.compression in _PACKBITS:
+            values = _unpacked(bytes(values), needed)
         if len(values) != needed:
             raise PictureError(
                 f"is damaged: the values from row {y}, column {x} on are {len(values)} bytes, not {needed}"
@@ -341,6 +409,23 @@ def _inflated(values: Any, needed: int) -> bytes:
     if not inflater.eof:
         raise PictureError("is damaged: its deflated values have no end, or are more than it declares")
     return found
+
+
+def _unpacked(values: bytes, needed: int) -> bytes:
+    """PackBits: n < 128: n + 1 values as they are; n > 128: one value 257 - n times; 128: nothing."""
+    found = bytearray()
+    at = 0
+    while at < len(values) and len(found) <= needed:
+        n = values[at]
+        if n < 128:
+            found += values[at + 1 : at + 2 + n]
+            at += 2 + n
+        elif n > 128:
+            found += values[at + 1 : at + 2] * (257 - n)
+            at += 2
+        else:
+            at += 1
+    return bytes(found)
 
 
 def linear_from_srgb(picture: Picture) -> Picture:
