@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 from typing import Any
 
+from cli.figures import pyplot
 from store.errors import RequestError
 from store.results import current_path
 from store.root import Store
@@ -32,10 +33,7 @@ def contact_sheet(session: str, store: Store) -> Path:
 
 
 def _draw(session: str, store: Store, path: Path) -> None:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
+    plt = pyplot()
     import numpy as np
 
     from store.grid import open_dataset
