@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cli.figures import pyplot
 from store.errors import WorkError
 from store.root import Store
 
@@ -39,9 +40,6 @@ def write_report(path: Path, item: str, plan: "Plan", result: "Result", verdict:
     Raises:
         WorkError: it cannot be written.
     """
-    import matplotlib
-
-    matplotlib.use("Agg")
     session = plan.session
     figures = _FIGURES[item](plan, result, store)
     rows = _TABLES[item](result) if item in _TABLES else ((), [])
@@ -83,7 +81,7 @@ _Drawn = list[tuple[str, str, Any]]
 
 
 def _encoded(figure: Any) -> str:
-    import matplotlib.pyplot as plt
+    plt = pyplot()
 
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=110, bbox_inches="tight")
@@ -108,7 +106,7 @@ def _brightened(picture: Any) -> Any:
 
 
 def _axes(width: float = 9.0, height: float = 6.0, columns: int = 1) -> tuple[Any, Any]:
-    import matplotlib.pyplot as plt
+    plt = pyplot()
 
     figure, axes = plt.subplots(1, columns, figsize=(width, height), squeeze=False)
     row: Any = axes[0]

@@ -20,6 +20,7 @@ from importlib import import_module  # noqa: E402
 from typing import Any, NoReturn  # noqa: E402
 
 from cli.show import Screen  # noqa: E402
+from hw.compiled import folder, offer  # noqa: E402
 from store.errors import (  # noqa: E402
     DamagedChunkError,
     DamagedGroupError,
@@ -105,6 +106,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     screen = Screen(as_json="--json" in words)
     try:
         code = _command(words, screen)
+        if "numba" in sys.modules and folder() is None:
+            screen.warn(
+                "compiled code is not kept, because neither the user's cache folder nor the store can be written, "
+                "and every command compiles anew; set XDG_CACHE_HOME to a folder that can be written"
+            )
         screen.flush()
         return code
     except LightstageError as error:
@@ -140,6 +146,7 @@ def _command(words: Sequence[str], screen: Screen) -> int:
             raise RequestError("a command is missing (`lightstage --help` lists them)")
         build_parser().print_help()
         return 2
+    offer(options.store)
     try:
         return int(options.handler(options, screen))
     except (DamagedChunkError, DamagedGroupError) as damage:
