@@ -123,8 +123,8 @@ def _fit(samples: _Samples) -> tuple[float, float]:
         rr, rs, ss = weighted @ reads, weighted @ shots, (weight * shots) @ shots
         r, s = weighted @ told, (weight * shots) @ told
         rr *= 1 + _PRIOR / square.size
-        whole = max(rr * ss - rs * rs, 1e-300)
-        alpha, beta = float((r * ss - s * rs) / whole), float((s * rr - r * rs) / whole)
+        whole = max(float(rr * ss - rs * rs), 1e-300)
+        alpha, beta = float(r * ss - s * rs) / whole, float(s * rr - r * rs) / whole
         if beta < 0 or not ss > 0:
             alpha, beta = max(float(r / rr), 0.0), 0.0
         elif alpha < 0:
