@@ -15,11 +15,12 @@ import traceback
 from collections.abc import Sequence
 from pathlib import Path
 
+# before anything imports numpy
 for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
-from tests.chaos.bench import REPOSITORY, Bench, Trial, warm
-from tests.chaos.outcome import FailedTrial, Outcome, SkippedTrial, table
+from tests.chaos.bench import Bench, Trial, warm  # noqa: E402
+from tests.chaos.outcome import Outcome, SkippedError, TrialError, table  # noqa: E402
 
 PARTS = ("flips", "kills", "disks", "races", "edits", "workers", "malformed", "equivalence")
 LONGEST_S = 300.0
@@ -38,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     warm()
     began = time.monotonic()
-    work = Path(tempfile.mkdtemp(prefix="chaos-"))
+    work = _room()
     try:
         outcomes = _all_trials(options, Bench(work / "bench"), work)
     finally:
@@ -49,6 +50,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.table is not None:
         _write_table(options.table, made)
     return 1 if any(outcome.verdict not in ("held", "skipped") for outcome in outcomes) else 0
+
+
+def _room() -> Path:
+    """The same folder each time, if it is free: its name is in sessions, and so in the order of their records."""
+    try:
+        Path(tempfile.gettempdir(), "lightstage-chaos").mkdir()
+    except FileExistsError:
+        return Path(tempfile.mkdtemp(prefix="lightstage-chaos-"))
+    return Path(tempfile.gettempdir(), "lightstage-chaos")
 
 
 def _all_trials(options: argparse.Namespace, bench: Bench, work: Path) -> list[Outcome]:
@@ -103,7 +113,7 @@ def _begin(part: str, seed: int, bench: Bench, room: Path, keep: bool) -> tuple[
     told = {"verdict": "held", "text": ""}
     try:
         module.trial(Trial(bench, room, seed))
-    except (FailedTrial, SkippedTrial) as error:
+    except (TrialError, SkippedError) as error:
         told = {"verdict": getattr(error, "verdict", "skipped"), "text": str(error)}
     except BaseException:  # noqa: BLE001  (this is where the process ends, whatever came)
         told = {"verdict": "unclear", "text": f"the trial itself failed: {traceback.format_exc()[-1500:]}"}
@@ -121,5 +131,4 @@ def _write_table(file: Path, made: str) -> None:
 
 
 if __name__ == "__main__":
-    sys.path.insert(0, str(REPOSITORY))
     sys.exit(main())

@@ -460,7 +460,8 @@ def tree(folder: Path) -> dict[str, str]:
 
 
 def results(store: Path) -> dict[str, str]:
-    """Every file of the results in use and of the raw group: path -> digest. Provenance has dates and is left out."""
+    """Every file of the results in use and of the raw group: path -> digest. Provenance has dates and is left
+    out."""
     made = {}
     for current in sorted(store.glob("results/*/*/current")):
         group = current.parent / current.read_text().strip()

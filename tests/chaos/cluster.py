@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from tests.chaos.bench import OURS, REPOSITORY, Trial
-from tests.chaos.outcome import SkippedTrial
+from tests.chaos.outcome import SkippedError
 
 _NEW_MOUNTS = 0x00020000  # CLONE_NEWNS of unshare(2)
 
@@ -33,7 +33,7 @@ class Cluster:
         until = time.monotonic() + 30
         while not told.exists() or not told.read_text():
             if time.monotonic() > until:
-                raise SkippedTrial("no scheduler can be started")
+                raise SkippedError("no scheduler can be started")
             time.sleep(0.02)
         self.address = told.read_text()
         return self

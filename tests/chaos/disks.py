@@ -1,9 +1,9 @@
 """Disks that are full, read-only, without links, slow to tell, or gone.
 
-A full disk is a tmpfs of one of 29 sizes where one can be mounted, a limit on the size of a file, and a refusal at the
-nth write; a disk without links refuses every `link` and `symlink`. Each command ends with its work done or with one
-sentence, nothing that was there is lost, and when the disk is well again a clean run is bit by bit the undisturbed one.
-"""
+A full disk is a tmpfs of one of 29 sizes where one can be mounted, a limit on the size of a file, and a refusal
+at the nth write; a disk without links refuses every `link` and `symlink`. Each command ends with its work done
+or with one sentence, nothing that was there is lost, and when the disk is well again a clean run is bit by bit
+the undisturbed one."""
 
 import contextlib
 import errno
@@ -16,7 +16,7 @@ from pathlib import Path
 
 from tests.chaos.bench import Trial, results
 from tests.chaos.interference import At, Interference, Refused, Vanished
-from tests.chaos.outcome import SkippedTrial, UnclearError, WrongError
+from tests.chaos.outcome import SkippedError, UnclearError, WrongError
 
 SIZES_KB = tuple(16 + 24 * i for i in range(29))
 NO_LINKS = (errno.EPERM, errno.EXDEV, errno.ENOSYS, errno.ENOTSUP, errno.EINVAL, errno.EMLINK)
@@ -94,7 +94,7 @@ def _mounted(folder: Path, options: str) -> Iterator[None]:
         ["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(folder)], capture_output=True, check=False
     )
     if mounted.returncode:
-        raise SkippedTrial("tmpfs cannot be mounted")
+        raise SkippedError("tmpfs cannot be mounted")
     try:
         yield
     finally:

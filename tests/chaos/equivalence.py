@@ -1,8 +1,8 @@
 """Ways of running that must give the same bits, and changes of files that must cost only what they must.
 
-Threads, local processes and a cluster compute a new session; every file of the results must be the same. Pictures that
-are touched, saved anew with other compression or moved cost nothing, and two that are exchanged cost two frames.
-"""
+Threads, local processes and a cluster compute a new session; every file of the results must be the same.
+Pictures that are touched, saved anew with other compression or moved cost nothing, and two that are exchanged
+cost two frames."""
 
 import os
 import random

@@ -1,9 +1,8 @@
 """What happens to a command at one of its calls: counted, held, refused, or its store is taken away.
 
-A command of a trial runs in a forked process, where Python's audit events tell of every file that is opened, renamed,
-linked or removed, whoever does it. So a place to interfere is named by what happens on disk and not by a function of
-ours that may be called otherwise tomorrow.
-"""
+A command of a trial runs in a forked process, where Python's audit events tell of every file that is opened,
+renamed, linked or removed, whoever does it. So a place to interfere is named by what happens on disk and not by
+a function of ours that may be called otherwise tomorrow."""
 
 import os
 import sys

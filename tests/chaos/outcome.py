@@ -4,29 +4,29 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 
-class FailedTrial(Exception):
+class TrialError(Exception):
     """A trial did not hold; the sentence says what was seen."""
 
     verdict = "wrong"
 
 
-class WrongError(FailedTrial):
+class WrongError(TrialError):
     """Something was delivered, said or left that is not true, and the exit code was 0."""
 
 
-class HangError(FailedTrial):
+class HangError(TrialError):
     """A command did not come to an end in its time."""
 
     verdict = "hang"
 
 
-class UnclearError(FailedTrial):
+class UnclearError(TrialError):
     """A command ended badly without one sentence that says why: a traceback, a signal, "unexpected"."""
 
     verdict = "unclear"
 
 
-class SkippedTrial(Exception):
+class SkippedError(Exception):
     """This machine cannot make the trial; the sentence says why."""
 
 

@@ -1,10 +1,10 @@
 """Two commands at once, the first held at one of its calls until the second is done.
 
-The call is drawn from all that the first command makes below the store, so that the second may come before, between or
-after any two of its steps; nothing is left to luck but the order of threads. Each command is done or ends with one
-sentence. Wrong is a binding that was said to be made and is not there, a result that is not what the session as it
-then stands gives, a picture of before an import after it, and a `verify` that finds anything afterwards.
-"""
+The call is drawn from all that the first command makes below the store, so that the second may come before,
+between or after any two of its steps; nothing is left to luck but the order of threads. Each command is done or
+ends with one sentence. Wrong is a binding that was said to be made and is not there, a result that is not what
+the session as it then stands gives, a picture of before an import after it, and a `verify` that finds anything
+afterwards."""
 
 import json
 import random
@@ -79,7 +79,8 @@ def _short(where: str | None, store: Path) -> str:
 
 
 def _prepare(made: Trial, first: str) -> None:
-    """A store with something that a gc frees and results that a run may take up, and a folder with one new picture."""
+    """A store with something that a gc frees and results that a run may take up, and a folder with one new
+    picture."""
     fresh = first == "run" and made.seed // len(PAIRS) % 2 == 1
     base = made.bench.imported
     if not fresh:
@@ -162,8 +163,7 @@ def _check(made: Trial, said: str, first: str, second: str, answer: Answer, othe
 
 
 def _check_binding(made: Trial, said: str, bound: dict[str, str], kind_of: str, version: int) -> None:
-    digests = {i: d for i, d in bound.items()}
-    rows = made.command("calibration", "show", f"{kind_of}-{digests[kind_of][:12]}", "--json").done().json
+    rows = made.command("calibration", "show", f"{kind_of}-{bound[kind_of][:12]}", "--json").done().json
     wanted = item(kind_of, version)
     key = "matrix" if kind_of == "homography" else "bands"
     found = rows["values"][key]

@@ -1,8 +1,9 @@
-"""Clusters that are not as they should be: nobody there, nobody working, killed, with other code, with another store.
+"""Clusters that are not as they should be: nobody there, nobody working, killed, with other code, with another
+store.
 
-Every command comes to an end within a minute, with its work done or one sentence. What is left in the store is right: a
-clean run on threads gives the undisturbed results, so that no worker has stored other numbers under keys of ours.
-"""
+Every command comes to an end within a minute, with its work done or one sentence. What is left in the store is
+right: a clean run on threads gives the undisturbed results, so that no worker has stored other numbers under
+keys of ours."""
 
 import os
 import random
@@ -14,7 +15,7 @@ from pathlib import Path
 from tests.chaos.bench import OURS, REPOSITORY, Trial, copy, results
 from tests.chaos.cluster import Cluster, can_see_instead, kill
 from tests.chaos.interference import At, Held, Interference, Vanished
-from tests.chaos.outcome import SkippedTrial, WrongError
+from tests.chaos.outcome import SkippedError, WrongError
 
 KINDS = (
     "nobody at the address",
@@ -83,7 +84,7 @@ def _on(cluster: Cluster, made: Trial, what: str, dice: random.Random) -> str:
         return what
     if what == "a copy of the store":
         if not can_see_instead():
-            raise SkippedTrial("mounts cannot be made private")
+            raise SkippedError("mounts cannot be made private")
         other = copy(made.store, made.room / "copy")
         cluster.worker(copy_of=(made.store, other))
         made.run(*words).clear()

@@ -1,14 +1,12 @@
 """What every place that holds a store's files must do, whatever it is made of: a suite to inherit from.
 
-A subclass gives a `place` fixture: a `Place`, whose first methods go through the code under test and whose `raw_`
-methods reach the same files past it, so that a fault in reading cannot hide one in writing. A place that is reached by
-network inherits the same class.
-"""
+A subclass gives a `place` fixture: a `Place`, whose first methods go through the code under test and whose
+`raw_` methods reach the same files past it, so that a fault in reading cannot hide one in writing. A place that
+is reached by network inherits the same class."""
 
 import contextlib
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -63,7 +61,7 @@ class PlaceConformance:
     """The suite; inherit it under a name that begins with Test, with a `place` fixture."""
 
     @pytest.fixture
-    def place(self) -> Iterator[Place]:
+    def place(self) -> Place:
         raise NotImplementedError
 
     def test_what_is_put_is_there_and_comes_back(self, place: Place) -> None:

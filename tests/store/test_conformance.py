@@ -1,4 +1,5 @@
-"""The local store, on folders with and without links, held to what every store must do; chunks and records likewise."""
+"""The local store, on folders with and without links, held to what every store must do; chunks and records
+likewise."""
 
 import contextlib
 import errno
@@ -69,8 +70,8 @@ def refuse(code: int) -> Callable[..., None]:
 
 class TestFolderWithLinks(PlaceConformance):
     @pytest.fixture
-    def place(self, store: Store) -> Iterator[Place]:
-        yield Folder(store)
+    def place(self, store: Store) -> Place:
+        return Folder(store)
 
 
 @pytest.mark.usefixtures("linkless")
@@ -80,16 +81,16 @@ class TestFolderWithoutLinks(PlaceConformance):
         monkeypatch.setattr(os, "link", refuse(request.param))
 
     @pytest.fixture
-    def place(self, store: Store) -> Iterator[Place]:
-        yield Folder(store)
+    def place(self, store: Store) -> Place:
+        return Folder(store)
 
 
 class TestFolderWithoutAnyLinks(PlaceConformance):
     @pytest.fixture
-    def place(self, store: Store, monkeypatch: pytest.MonkeyPatch) -> Iterator[Place]:
+    def place(self, store: Store, monkeypatch: pytest.MonkeyPatch) -> Place:
         monkeypatch.setattr(os, "link", refuse(errno.EPERM))
         monkeypatch.setattr(os, "symlink", refuse(errno.EPERM))
-        yield Folder(store)
+        return Folder(store)
 
 
 PIXELS = np.arange(12 * 16, dtype=np.uint16).reshape(12, 16)

@@ -1,9 +1,10 @@
-"""Import, edit, bind, run, kill, flip, gc, verify, remove, in any order: what is delivered is true or is not delivered.
+"""Import, edit, bind, run, kill, flip, gc, verify, remove, in any order: what is delivered is true or is not
+delivered.
 
-The model is a dictionary: the pictures in the folder, those in the session, the exposure that is bound, and per node
-the values of the last run, worked out here. A kill raises at the nth change of a file and at every one after it, as
-if the process were gone. LIGHTSTAGE_EXAMPLES asks for more than the few examples of the ordinary suite.
-"""
+The model is a dictionary: the pictures in the folder, those in the session, the exposure that is bound, and per
+node the values of the last run, worked out here. A kill raises at the nth change of a file and at every one
+after it, as if the process were gone. LIGHTSTAGE_EXAMPLES asks for more than the few examples of the ordinary
+suite."""
 
 import contextlib
 import gc
@@ -37,7 +38,7 @@ frames = st.integers(0, len(FRAMES) - 1)
 Array = NDArray[Any]
 
 
-class Killed(BaseException):  # noqa: N818  (nothing may catch it as an error)
+class Killed(BaseException):
     """The process is gone."""
 
 
