@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import yaml
 
+from store.digest import digest_bytes
 from store.errors import RequestError
 
 if TYPE_CHECKING:
@@ -35,6 +36,8 @@ class Document:
     name: str
     value: Any
     marks: Mapping[Where, tuple[int, int]] = field(repr=False)
+    digest: str = ""
+    """Of the text."""
 
     def at(self, where: Where) -> str:
         """`file:line:column` of a value, or of the nearest thing around it that has a place."""
@@ -75,7 +78,7 @@ def parse(text: str, *, name: str) -> Document:
     value = None if root is None else _construct(root, (), marks, problems, name)
     if problems:
         raise RequestError("\n".join(problems))
-    return Document(name, value, marks)
+    return Document(name, value, marks, digest_bytes(text.encode()))
 
 
 def scalar(text: str) -> Any:
