@@ -50,8 +50,10 @@ RATIO = ("--set", "normals.method=ratio")
 
 
 def warm(store: Path | None = None, options: Sequence[str] = ()) -> None:
-    """Import what commands import, and with a store know what they look up in our sources and in installed packages, so
-    that their processes need not; leaves no thread behind."""
+    """Import what commands import, so that their processes need not; leaves no thread behind.
+
+    With a store: know what they look up in our sources and in installed packages, too.
+    """
     for name in ("zarr", "xarray", "cv2", "numba", "dask.threaded", "distributed", "scipy.ndimage", "numcodecs"):
         importlib.import_module(name)
     for name in ("cli.main", "dag.run", "dag.recall", "dag.graph", "store.importer", "store.verify", "store.gc"):

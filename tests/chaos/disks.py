@@ -3,7 +3,8 @@
 A full disk is a tmpfs of one of 29 sizes where one can be mounted, a limit on the size of a file, and a refusal
 at the nth write; a disk without links refuses every `link` and `symlink`. Each command ends with its work done
 or with one sentence, nothing that was there is lost, and when the disk is well again a clean run is bit by bit
-the undisturbed one."""
+the undisturbed one.
+"""
 
 import contextlib
 import errno

@@ -3,7 +3,8 @@
 Source files are edited in a copy of the checkout, one drawn from all that a walk of its folders finds; what a
 stage's code is, is found here by following imports from file to file, apart from how the engine does it. An
 edit that changes no number must cost the nodes whose code it is in and no other; one that changes numbers must
-give what a new store gives."""
+give what a new store gives.
+"""
 
 import ast
 import random

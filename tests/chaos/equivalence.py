@@ -2,7 +2,8 @@
 
 Threads, local processes and a cluster compute a new session; every file of the results must be the same.
 Pictures that are touched, saved anew with other compression or moved cost nothing, and two that are exchanged
-cost two frames."""
+cost two frames.
+"""
 
 import os
 import random

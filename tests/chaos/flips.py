@@ -3,7 +3,8 @@
 The file is chosen over all that a walk of the store finds, each kind of place as likely as another. Then `run`,
 `export` and `verify` follow in one of their six orders. Wrong is an export with exit code 0 whose values differ
 from the truth, and a `verify` that finds nothing while the changed file lies there. At the end verify, import
-and run must make everything right again."""
+and run must make everything right again.
+"""
 
 import itertools
 import os

@@ -2,7 +2,8 @@
 
 A command of a trial runs in a forked process, where Python's audit events tell of every file that is opened,
 renamed, linked or removed, whoever does it. So a place to interfere is named by what happens on disk and not by
-a function of ours that may be called otherwise tomorrow."""
+a function of ours that may be called otherwise tomorrow.
+"""
 
 import os
 import sys

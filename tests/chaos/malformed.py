@@ -4,7 +4,8 @@ YAML that is cut, doubled, nested, enormous or full of numbers that no field exp
 flipped, declared larger than they are, or no files at all; items that no rig can have; names and options of
 every odd kind. Each command ends within a minute, with its work done or one sentence, needs less than 2 GB, and
 leaves nothing outside the store and the folder that it was given. A picture whose format has a checksum is
-refused when it was changed, or gives the pixels that it gave before. """
+refused when it was changed, or gives the pixels that it gave before.
+"""
 
 import os
 import random
@@ -23,24 +24,49 @@ from tests.chaos.outcome import UnclearError, WrongError
 from tests.scenes import write_capture
 
 KINDS = (
-    "a description", "a pipeline", "an item's text", "an item's numbers", "a picture", "options",
-    "a large pipeline", ), TRIALS = 140, MEMORY = 2_000_000_000, SCALARS = (, "1e999", "-1e999", ".nan", ".inf",
-    "-0.0", "1e308", "5e-324", "9" * 5000, "-" + "9" * 5000, "0x7fffffffffffffff", "1_000", "true", "null", "~",
-    "''", "'\\0'", '"\\0"', "../../x", "/etc/passwd", "/dev/zero", "/dev/stdin", "a/../b", ".", "..", "[[", "]",
-    "{", "[" * 100_000, "{a: " * 900, "- " * 5000, "&a [*a]", "*nobody", "!!python/name:os.system",
-    "!!binary x", "!x y", "'" + "x" * 100_000 + "'", "2024-13-45", "2010-03-12T14:05:00", "{}", "[]",
-    "[1, 2, 3]", "1", "-1", "0", "0.5", "{frame:0999999999d}", "'{frame:0999999999d}.png'",
-    "'{frame!r:>99999999}.png'", "'{0}{1}.png'", "'{frame.__class__}.png'", "ä ö \U0001d518", "\u202e", "'\ud7ff'",
-    "'{illumination}{illumination:>1000000000}.png'", "? x", "<<: {a: 1}", "|", ">", "\t",
+    "a description",
+    "a pipeline",
+    "an item's text",
+    "an item's numbers",
+    "a picture",
+    "options",
+    "a large pipeline",
+)
+TRIALS = 140
+MEMORY = 2_000_000_000
+SCALARS = (
+    "1e999", "-1e999", ".nan", ".inf", "-0.0", "1e308", "5e-324", "9" * 5000, "-" + "9" * 5000,
+    "0x7fffffffffffffff", "1_000", "true", "null", "~", "''", "'\\0'", '"\\0"', "../../x", "/etc/passwd",
+    "/dev/zero", "/dev/stdin", "a/../b", ".", "..", "[[", "]", "{", "[" * 100_000, "{a: " * 900, "- " * 5000,
+    "&a [*a]", "*nobody", "!!python/name:os.system", "!!binary x", "!x y", "'" + "x" * 100_000 + "'",
+    "2024-13-45", "2010-03-12T14:05:00", "{}", "[]", "[1, 2, 3]", "1", "-1", "0", "0.5", "{frame:0999999999d}",
+    "'{frame:0999999999d}.png'", "'{frame!r:>99999999}.png'", "'{0}{1}.png'", "'{frame.__class__}.png'",
+    "ä ö \U0001d518", "\u202e", "'\ud7ff'", "'{illumination}{illumination:>1000000000}.png'", "? x", "<<: {a: 1}",
+    "|", ">", "\t",
 )  # fmt: skip
 NAMES = (
-    "dark", "flat", "str", "int", "[", "]", "item", "stages", "files", "target", "x" * 5000, "ü", "", "0",
-    "null", ), WORDS = (, "", " ", "-", "--", "-x", "--no-such", "\0", "a\0b", "x" * 5000, "../x", "/", ".",
-    "..", "ü", "\udcff", "~", "~nobody/x", "0", "-1", "1e999", "99999999999999999999", "nan", "0:0", "5:1",
-    "0:99999999999999999999", "\u0661:\u0662", "::", "normals.method=", "normals.method=nothing", "normals=", "=",
-    "a.b.c=d", "normals.method=[", "x.y=" + "[" * 5000, "homography=", "homography=/dev/null", "dark=.",
-    "capture", "current", "normals", "ball", "png8", "npy", "exr", "glb", "gif", "/dev/null", "/dev/full/x",
-    "*", "%s", "{}",
+    "dark",
+    "flat",
+    "str",
+    "int",
+    "[",
+    "]",
+    "item",
+    "stages",
+    "files",
+    "target",
+    "x" * 5000,
+    "ü",
+    "",
+    "0",
+    "null",
+)
+WORDS = (
+    "", " ", "-", "--", "-x", "--no-such", "\0", "a\0b", "x" * 5000, "../x", "/", ".", "..", "ü", "\udcff", "~",
+    "~nobody/x", "0", "-1", "1e999", "99999999999999999999", "nan", "0:0", "5:1", "0:99999999999999999999",
+    "\u0661:\u0662", "::", "normals.method=", "normals.method=nothing", "normals=", "=", "a.b.c=d",
+    "normals.method=[", "x.y=" + "[" * 5000, "homography=", "homography=/dev/null", "dark=.", "capture", "current", "normals",
+    "ball", "png8", "npy", "exr", "glb", "gif", "/dev/null", "/dev/full/x", "*", "%s", "{}",
 )  # fmt: skip
 OPTIONS = {
     "run": ("--session", "--set", "--frames", "--pipeline", "--calibration", "--workers"),

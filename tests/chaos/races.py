@@ -4,7 +4,8 @@ The call is drawn from all that the first command makes below the store, so that
 between or after any two of its steps; nothing is left to luck but the order of threads. Each command is done or
 ends with one sentence. Wrong is a binding that was said to be made and is not there, a result that is not what
 the session as it then stands gives, a picture of before an import after it, and a `verify` that finds anything
-afterwards."""
+afterwards.
+"""
 
 import json
 import random

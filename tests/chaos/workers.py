@@ -3,7 +3,8 @@ store.
 
 Every command comes to an end within a minute, with its work done or one sentence. What is left in the store is
 right: a clean run on threads gives the undisturbed results, so that no worker has stored other numbers under
-keys of ours."""
+keys of ours.
+"""
 
 import os
 import random

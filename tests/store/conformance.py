@@ -2,7 +2,8 @@
 
 A subclass gives a `place` fixture: a `Place`, whose first methods go through the code under test and whose
 `raw_` methods reach the same files past it, so that a fault in reading cannot hide one in writing. A place that
-is reached by network inherits the same class."""
+is reached by network inherits the same class.
+"""
 
 import contextlib
 import threading

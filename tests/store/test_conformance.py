@@ -1,5 +1,6 @@
 """The local store, on folders with and without links, held to what every store must do; chunks and records
-likewise."""
+likewise.
+"""
 
 import contextlib
 import errno

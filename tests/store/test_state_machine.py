@@ -4,7 +4,8 @@ delivered.
 The model is a dictionary: the pictures in the folder, those in the session, the exposure that is bound, and per
 node the values of the last run, worked out here. A kill raises at the nth change of a file and at every one
 after it, as if the process were gone. LIGHTSTAGE_EXAMPLES asks for more than the few examples of the ordinary
-suite."""
+suite.
+"""
 
 import contextlib
 import gc
@@ -24,7 +25,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 from numpy.typing import NDArray
 
-import dag.run
+import dag.task
 import stages
 from cli.main import main
 from tests.scenes import one_camera_capture
@@ -84,18 +85,18 @@ class StoreMachine(RuleBasedStateMachine):
 
     def teardown(self) -> None:
         stages.TABLE = self.table
-        getattr(dag.run, "_stores", {}).clear()
+        dag.task._stores.clear()
         shutil.rmtree(self.room)
 
     def command(self, *words: str | Path) -> int:
         """The command as a new process would do it; what fails says so in one sentence."""
-        getattr(dag.run, "_stores", {}).clear()  # what a process remembers of a store
+        dag.task._stores.clear()  # what a process remembers of a store
         out, err = io.StringIO(), io.StringIO()
         try:
             with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
                 code = main(["--store", str(self.store), *map(str, words)])
         finally:
-            getattr(dag.run, "_stores", {}).clear()
+            dag.task._stores.clear()
             gc.collect(0)
         said = out.getvalue() + err.getvalue()
         assert code in (0, 1, 2)
