@@ -18,7 +18,7 @@ from importlib import import_module  # noqa: E402
 from typing import Any, NoReturn  # noqa: E402
 
 from cli.show import Screen  # noqa: E402
-from store.errors import LightstageError, RequestError  # noqa: E402
+from store.errors import LightstageError, RequestError, WorkError  # noqa: E402
 
 VERSION = "0.1.0"
 FAMILIES = (
@@ -115,6 +115,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if "--debug" in words:
             raise
         name = type(error).__name__
+        if isinstance(error, ImportError) and "failed to map segment" in str(error):
+            told = WorkError(
+                f"the memory that this process may use is not enough to load {error.name or 'a library'}"
+            )
+            return _failed(told, 1, screen, words)
         message = f"unexpected {name}: {error}; run again with --debug and report what it shows"
         return _failed(RequestError(message), 1, screen, words)
 
