@@ -116,10 +116,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         name = type(error).__name__
         if isinstance(error, ImportError) and "failed to map segment" in str(error):
-            told = WorkError(
-                f"the memory that this process may use is not enough to load {error.name or 'a library'}"
-            )
-            return _failed(told, 1, screen, words)
+            lacking = WorkError(f"there is not enough memory to load {error.name or 'a library'} (see `ulimit -v`)")
+            return _failed(lacking, 1, screen, words)
         message = f"unexpected {name}: {error}; run again with --debug and report what it shows"
         return _failed(RequestError(message), 1, screen, words)
 
