@@ -77,6 +77,11 @@ def _import(
     lost = 0 if before is None else sum(not store.chunks.intact(ref) for ref in before.refs())
     pictures = capture.pictures()
     warnings = [f"{path} is not mentioned in capture.yaml; passed over" for path in capture.extra_pictures()]
+    if before is None and standing is not None:
+        warnings.append(
+            f"session '{session_name}' was damaged and is made anew from its folder; calibration items that were "
+            "bound to it by hand have to be bound again"
+        )
 
     read = _read_pictures(capture, pictures, store, staging, before, progress)
     shape = _one_shape(read)

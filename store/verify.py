@@ -15,7 +15,7 @@ from typing import Any
 
 from store.calibration import Item, get_item, item_names, original_of
 from store.digest import SHORT, digest_bytes
-from store.errors import DamagedFileError, LightstageError
+from store.errors import DamagedFileError, LightstageError, RequestError, WorkError
 from store.files import files_below, link_or_copy, replace
 from store.notes import Note, chunk_file, digest_of, note_path, read_note
 from store.records import KINDS, blobs_named, intact_record
@@ -61,8 +61,24 @@ def verify(store: Store, *, progress: Progress | None = None) -> Verified:
     A chunk that is intact under one of its names is restored under the others. One that is not goes into
     quarantine with the records and results that refer to it, and the next run makes it again; a raw picture
     must be imported again. Nothing that is intact is removed.
+
+    Raises:
+        WorkError: something is damaged, and the store cannot be written.
     """
     report = Verified()
+    try:
+        _verify(store, report, progress)
+    except (OSError, WorkError) as error:
+        if not report.damaged:
+            raise
+        first = report.damaged[0]
+        raise WorkError(
+            f"{first.path} is damaged ({first.belongs_to}), and the store cannot be mended: {error}"
+        ) from error
+    return report
+
+
+def _verify(store: Store, report: Verified, progress: Progress | None) -> None:
     found = _read_chunks(store, report, progress)
     bad = {path.name for path, digest in found.values() if digest != path.name}
     by_inode = {inode: digest for inode, (_, digest) in found.items()}
@@ -83,7 +99,6 @@ def verify(store: Store, *, progress: Progress | None = None) -> Verified:
         report.add(store.chunks.path(blob), owner.text, owner.remedy, recomputable=owner.recomputable)
     _quarantine(store, bad, views)
     report.strange += _strange(store)
-    return report
 
 
 def _read_chunks(
@@ -336,7 +351,8 @@ def _mend_view(
             _link(store, store.chunks.path(blob), path)
             report.add(path, name, f"restored from the stored chunk; {_MENDED}")
     if view.session is not None and not bad & set(view.links.values()):
-        show_raw(view.session.name, store)
+        with contextlib.suppress(RequestError):  # it was removed in the meantime
+            show_raw(view.session.name, store)
 
 
 def _digest_in(path: Path, by_inode: Mapping[tuple[int, int], str]) -> str | None:

@@ -1,5 +1,6 @@
 """One flipped bit in any file of the store: it is named, it reaches no answer, and what can be made again is."""
 
+import errno
 import json
 import os
 import random
@@ -277,6 +278,43 @@ def test_a_command_that_computes_heals_what_it_meets(ball: Path, lightstage: Lig
     assert "was damaged: ball/stack, array radiance, chunk 0/0/0/0/0; the next run makes it again" in done.err
     assert (ball / "pictures/ball.png").exists()
     assert verify(Store(ball)).damaged == []
+
+
+def test_a_current_that_names_nothing_is_no_result_until_the_next_run(ball: Path, lightstage: Lightstage) -> None:
+    path = one(ball, "current")
+    good = path.read_bytes()
+    flip(path, 7)
+    assert lightstage("status", "--session", "ball").code == 0
+    done = lightstage("path", "stack", "--session", "ball")
+    assert done.code == 2
+    assert "`lightstage run stack --session ball` computes it" in done.err
+    assert lightstage("run", "--session", "ball").code == 0
+    assert path.read_bytes() == good
+
+
+def test_a_session_made_anew_says_what_it_cannot_know(ball: Path, made: Path) -> None:
+    flip(one(ball, "session.json"))
+    (warning,) = import_capture(made / "ball", Store(ball)).warnings
+    assert "items that were bound to it by hand have to be bound again" in warning
+
+
+def test_damage_on_a_disk_that_cannot_be_written_is_one_sentence(
+    ball: Path, lightstage: Lightstage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = one(ball, "chunk")
+    flip(path)
+
+    def refuse(*_: object) -> None:
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    monkeypatch.setattr(os, "replace", refuse)
+    for words in (("verify",), ("export", "stack", "--session", "ball", "--format", "npy", "--to", ball / "out")):
+        done = lightstage(*words)
+        assert done.code == 1
+        (sentence,) = (line for line in done.err.splitlines() if line.startswith("lightstage: "))
+        assert "is damaged" in sentence
+        assert "annot be mended: " in sentence
+        assert "Read-only file system" in sentence
 
 
 @pytest.fixture
