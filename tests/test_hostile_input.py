@@ -11,7 +11,8 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -521,3 +522,12 @@ def test_a_spoilt_file_of_points_is_read_or_refused(tmp_path: Path) -> None:
         with contextlib.suppress(RequestError):
             read += all(at.shape == (2,) for at in read_points(path, ["good"])["good"].values())
     assert 0 < read < 200
+
+
+def test_a_figure_that_no_block_tells_is_not_said_of_the_result(store: Store) -> None:
+    from dag.run import BlockTask, _write
+
+    task = SimpleNamespace(arrays={"a": ("float32", (1, 2), (1, 2))}, node="n", block="b")
+    outputs = {"a": np.zeros((1, 2), np.float32), "stats": {"error": float("nan"), "part": 0.5}}
+    _, stats, _ = _write(cast(BlockTask, task), outputs, store)
+    assert stats == {"part": 0.5}
