@@ -138,7 +138,7 @@ def _pipeline(made: Trial, dice: random.Random) -> None:
     text = made.bench.pipeline.read_text()
     old, new, must = dice.choice(
         (
-            ("from: stack}", "from: stack, params: {method: ratio}}", {"normals"}),
+            ("from: stack}", "from: stack, params: {method: ratio}}", set()),  # of another request
             ("from: stack}", "from: stack, params: {method: auto}}", set()),
             ("from: capture}", "from: capture, params: {flat_smoothing_percent: 7}}", {"register"}),
             ("stages:", "# a comment\nstages:", set()),
