@@ -1,4 +1,4 @@
-"""verify, gc: look after the store."""
+"""verify, gc, upgrade: look after the store."""
 
 import argparse
 import re
@@ -23,6 +23,8 @@ def configure(commands: Any) -> None:
         "--grace", default="7d", metavar="TIME", help="keep what is younger: 90s, 30m, 12h, 7d (default)"
     )
     gc.set_defaults(handler=handle_gc)
+    upgrade = commands.add_parser("upgrade", help="carry a store of an older lightstage over to this one")
+    upgrade.set_defaults(handler=handle_upgrade)
 
 
 def handle_verify(options: argparse.Namespace, screen: Screen) -> int:
@@ -103,3 +105,20 @@ def handle_gc(options: argparse.Namespace, screen: Screen) -> int:
         }
     )
     return 0
+
+
+def handle_upgrade(options: argparse.Namespace, screen: Screen) -> int:
+    """lightstage upgrade."""
+    from store.marker import FORMAT
+    from store.upgrade import upgrade
+
+    done = upgrade(options.store, progress=screen.progress)
+    for line in done.left:
+        screen.say(f"not carried over: {line}")
+    if done.began == FORMAT and not done.carried:
+        screen.say(f"the store is of format {FORMAT}, which this program reads; nothing to do")
+    else:
+        what = ", ".join(f"{count} {kind}" for kind, count in done.carried.items()) or "nothing was left to do"
+        screen.say(f"format {done.began} -> {FORMAT}: {what}")
+    screen.document({"from": done.began, "to": FORMAT, "carried": dict(done.carried), "left": done.left})
+    return 1 if done.left else 0

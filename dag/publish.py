@@ -58,29 +58,32 @@ def _publish(
     if chosen:
         session = state.plan.session
         result = ResultName(session.name, name, plan.recipe, node.manifest(attrs))
-        path = publish(
-            result,
-            store,
-            arrays=plan.arrays,
-            coordinates=plan.coordinates(),
-            attrs=attrs,
-            chunks=chunks,
-            provenance={
-                "parts": plain_parts(plan),
-                "inputs": _input_values(state, node),
-                "above": {u: current(session.name, u, store) for u in plan.node.above},
-                "before": current(session.name, name, store),
-                "items": attrs["calibration_items"],
-                "versions": dict(versions),
-                "computed": len(computed),
-                "seconds": sum(record.seconds for record in chosen),
-                "bytes": sum(ref.size for ref in files.values()),
-                "host": platform.node(),
-                "finished": datetime.now(UTC).isoformat(timespec="seconds"),
-            },
-        )
-        set_current(result, store)
-        if current(session.name, name, store) != result.folder:
+        provenance = {
+            "parts": plain_parts(plan),
+            "inputs": _input_values(state, node),
+            "above": {u: current(session.name, u, store) for u in plan.node.above},
+            "before": current(session.name, name, store),
+            "items": attrs["calibration_items"],
+            "versions": dict(versions),
+            "computed": len(computed),
+            "seconds": sum(record.seconds for record in chosen),
+            "bytes": sum(ref.size for ref in files.values()),
+            "host": platform.node(),
+            "finished": datetime.now(UTC).isoformat(timespec="seconds"),
+        }
+        for _ in range(3):  # `gc` may take it away before `current` names it
+            path = publish(
+                result,
+                store,
+                arrays=plan.arrays,
+                coordinates=plan.coordinates(),
+                attrs=attrs,
+                chunks=chunks,
+                provenance=provenance,
+            )
+            if set_current(result, store):
+                break
+        else:
             raise WorkError(f"{path} was removed while it was published (gc with too short a grace?); run again")
         if len(chosen) == len(plan.blocks) and not node.remembered:
             node.keys = [record.key for record in chosen]

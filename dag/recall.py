@@ -112,7 +112,8 @@ def recall(store: Store, key: str) -> dict[str, Any] | None:
     for name, node in answer["nodes"].items():
         if node["folder"] is not None:
             recipe, _, manifest = node["folder"].partition("-")
-            set_current(ResultName(answer["session"], name, recipe, manifest), store)
+            if not set_current(ResultName(answer["session"], name, recipe, manifest), store):
+                return None  # `gc` has just taken it
     return answer
 
 

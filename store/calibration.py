@@ -23,7 +23,7 @@ from store.capture import Date
 from store.chunks import ChunkRef, Chunks
 from store.digest import SHORT, digest_value
 from store.errors import DamagedFileError, RequestError
-from store.files import replace
+from store.files import renewed, replace
 from store.picture import PictureError, decode, read_file
 from store.root import Store
 from store.sealed import seal, unseal
@@ -278,7 +278,7 @@ def put_item(item: Item, original: bytes, store: Store) -> None:
     data = seal({**_as_plain(item), "original": original.decode()}, indent=1)
     # item.json is the truth; after a kill between the two, item.yaml shows the notes of the file before
     for path, content in ((folder / "item.json", data), (folder / "item.yaml", original)):
-        if _bytes(path) != content:
+        if _bytes(path) != content or not renewed(path):
             replace(store.scratch, path, content)
 
 

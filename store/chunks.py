@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 
 from store.digest import digest_array, digest_bytes
 from store.errors import DamagedChunkError, WorkError
-from store.files import Flusher, Scratch, full_disk_is_named, put_if_absent, replace
+from store.files import Flusher, Scratch, disk_faults_named, put_if_absent, renewed, replace
 
 if TYPE_CHECKING:
     import numpy as np
@@ -102,10 +102,9 @@ class Chunks:
         ref, encoded = _stored_form(array)
         path = self.path(ref.blob)
         self._remember(ref.blob, array)
-        if self._holds(path, encoded):
-            with contextlib.suppress(OSError):
-                os.utime(path)  # in use again: `gc` must not take it for old
-        elif put_if_absent(self._scratch, path, encoded, durable=False):
+        if self._holds(path, encoded) and renewed(path):
+            return ref
+        if put_if_absent(self._scratch, path, encoded, durable=False):
             self._flusher.add(path)
         elif not self._holds(path, encoded):
             replace(self._scratch, path, encoded)
@@ -171,7 +170,9 @@ class Staging(Chunks):
     def put(self, array: "NDArray[np.generic]") -> ChunkRef:
         """Store an array for the time being; one that the store has already is not written again."""
         ref, encoded = _stored_form(array)
-        if not self._target.intact(ref) and not self.path(ref.blob).exists():
+        if self._target.intact(ref) and renewed(self._target.path(ref.blob)):
+            return ref
+        if not self.path(ref.blob).exists():
             put_if_absent(self._scratch, self.path(ref.blob), encoded, durable=False)
             self._flusher.add(self.path(ref.blob))
         return ref
@@ -181,8 +182,8 @@ class Staging(Chunks):
         self.flush()
         for path in sorted(self.folder.glob("*/*")):
             target = self._target.path(path.name)
-            with full_disk_is_named(target):
-                target.parent.mkdir(parents=True, exist_ok=True)
+            with disk_faults_named(target):
+                self._scratch.make_folder(target.parent)
                 os.replace(path, target)
         self.discard()
 

@@ -1,88 +1,247 @@
-"""Files that are there whole or not at all.
+"""Files that are there whole or not at all, on every file system that a store may lie on.
 
-Everything is first written under the store's `tmp/` (one folder a process) and then renamed or linked into
-place. After a kill, what is left lies in `tmp/` and is swept when the next process opens the store.
+Everything is first written under the store's `tmp/` (one folder a process) and then linked, renamed or copied into
+place. After a kill, what is left lies in `tmp/` and is swept by a later process.
+
+File systems without hard links (exFAT, some network disks) get copies instead, and a file that may only be put
+where none is yet is renamed with the kernel's RENAME_NOREPLACE or, where that is not known either, under a lock.
 """
 
 import contextlib
 import errno
+import fcntl
 import itertools
 import os
 import secrets
 import shutil
-import socket
+import stat
 import threading
-from collections.abc import Iterator
+import time
+import weakref
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
+from store.digest import digest_value
 from store.errors import WorkError
+from store.marker import NAME, Marker, gone
 
 _counter = itertools.count()
-_NO_LINKS = (errno.EPERM, errno.ENOTSUP, errno.EXDEV, errno.EMLINK)
+NO_LINKS = (errno.EPERM, errno.EXDEV, errno.ENOSYS, errno.ENOTSUP, errno.EINVAL, errno.EMLINK)
+_GONE = (errno.ESTALE, errno.ENOTCONN, errno.ENODEV, errno.ENXIO)
+_ABANDONED_S = 7 * 86400
+"""After so long without a change the leavings of another machine are swept."""
 
 
 class Scratch:
     """The store's `tmp/`: a folder of its own for this process, and a sweep of what dead ones left.
 
-    The folder's name ends in a random word: after a kill it may hold a second link to a finished file, which a
-    later process with the same number must not open for writing.
+    The folder is named <machine>~<process number>~<random word>. Its owner holds a lock on the file `lock` in it
+    for as long as it lives. Host names and process numbers prove nothing (containers share them), so a folder is
+    swept when its lock is free and its machine is this one: the same boot of the same kernel, and the same mounted
+    file system, where a lock is seen by everybody. One of another machine, whose lock may not reach here, and one
+    without a lock are swept when nothing in them has changed for a week.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, marker: Marker | None = None) -> None:
+        """`marker` is what the store must still say of itself when something is to be written into it."""
         self.folder = folder
+        self._marker = marker
         self._mine: Path | None = None
         self._pid = 0
+        self._unlock: Callable[[], object] = _nothing
         self._making = threading.Lock()
 
+    @property
+    def root(self) -> Path:
+        """The store's folder."""
+        return self.folder.parent
+
     def path(self) -> Path:
-        """A new path, unique over threads, processes and hosts."""
+        """A new path, unique over threads, processes and hosts.
+
+        Raises:
+            WorkError: the store is gone, or cannot be written.
+        """
         with self._making:
             if self._mine is None or self._pid != os.getpid() or not self._mine.is_dir():
-                self._pid = os.getpid()
-                self._mine = self.folder / f"{socket.gethostname()}~{self._pid}~{secrets.token_hex(4)}"
-                with full_disk_is_named(self._mine):
-                    self._mine.mkdir(parents=True, exist_ok=True)
+                self._enter()
+            assert self._mine is not None
             return self._mine / str(next(_counter))
+
+    def _enter(self) -> None:
+        # in a forked child, closing the parent's lock here leaves it with the parent
+        self._unlock()
+        self._unlock, self._mine, self._pid = _nothing, None, os.getpid()
+        with disk_faults_named(self.folder):
+            if self._marker is not None:
+                self._marker.check(self.root)
+            while True:
+                self.make_folder(self.folder)
+                mine = self.folder / f"{_machine(self.folder)}~{self._pid}~{secrets.token_hex(4)}"
+                with contextlib.suppress(FileNotFoundError):
+                    mine.mkdir()
+                    lock = _hold(mine / "lock")
+                    if lock is not None:
+                        self._unlock = weakref.finalize(self, os.close, lock)
+                    if mine.is_dir():  # else a sweep came between, and found it without its lock
+                        break
+        self._mine = mine
 
     def __getstate__(self) -> dict[str, object]:
         """A store travels to workers; the lock and the folder stay here."""
-        return {"folder": self.folder}
+        return {"folder": self.folder, "marker": self._marker}
 
-    def __setstate__(self, state: dict[str, Path]) -> None:
-        self.__init__(state["folder"])  # type: ignore[misc]
+    def __setstate__(self, state: dict[str, object]) -> None:
+        self.__init__(state["folder"], state["marker"])  # type: ignore[misc]
+
+    def make_folder(self, folder: Path) -> None:
+        """A folder of the store, with those above it; the store's own is never made anew.
+
+        Raises:
+            WorkError: the store is gone.
+        """
+        if folder.parent == self.root and self._marker is not None and not (self.root / NAME).exists():
+            raise gone(self.root)  # an empty mount point is still there
+        try:
+            folder.mkdir(exist_ok=True)
+        except FileNotFoundError:
+            if folder == self.root or self.root not in folder.parents or folder.parent == self.root:
+                raise gone(self.root) from None
+            self.make_folder(folder.parent)
+            folder.mkdir(exist_ok=True)
+
+    @contextlib.contextmanager
+    def present(self) -> Iterator[None]:
+        """Where a file is not found because the whole store is gone, that is what is said."""
+        try:
+            yield
+        except FileNotFoundError as error:
+            if self._marker is not None and not (self.root / NAME).exists():
+                raise gone(self.root) from error
+            raise
 
     def remove(self, path: Path) -> None:
         """Take a folder or a file away in one step, so that nobody meets it half removed."""
         doomed = self.path()
-        with full_disk_is_named(path):
-            try:
-                os.rename(path, doomed)
-            except FileNotFoundError:
+        with disk_faults_named(path), self.present():
+            if not os.path.lexists(path):
                 return
-        if doomed.is_dir():
-            shutil.rmtree(doomed, ignore_errors=True)
-        else:
-            doomed.unlink(missing_ok=True)
+            os.rename(path, doomed)
+        delete(doomed)
 
-    def sweep(self) -> None:
-        """Delete what processes of this host that no longer run have left behind."""
-        host = socket.gethostname()
-        try:
-            names = os.listdir(self.folder)
-        except FileNotFoundError:
-            return
-        for name in names:
-            owner, _, rest = name.partition("~")
+    def now_ns(self) -> int:
+        """The time by the file system's clock, which on a shared one is not this host's."""
+        path = self.path()
+        write_new(path, b"", durable=False)
+        now = path.stat().st_mtime_ns
+        path.unlink()
+        return now
+
+    def next_ns(self, moment: int) -> None:
+        """Wait until the file system's clock, which ticks every 4 ms to 2 s, has moved on from a moment."""
+        for _ in range(1000):
+            if self.now_ns() > moment:
+                return
+            time.sleep(0.004)
+
+    def leavings(self) -> list[Path]:
+        """What dead processes have left behind."""
+        with contextlib.ExitStack() as locks:
+            return [path for path in self._others() if locks.enter_context(_deserted(path, self.folder))]
+
+    def sweep(self, freed: Callable[[os.stat_result], None] | None = None) -> None:
+        """Delete what dead processes have left behind; `freed` is told of each file."""
+        for path in self._others():
+            with _deserted(path, self.folder) as deserted:
+                if deserted:
+                    for entry in [entry for entry in os.scandir(path) if entry.name != "lock"]:
+                        delete(Path(entry.path), freed)
+            if deserted:
+                delete(path, freed)
+
+    def others(self) -> list[str]:
+        """Names of the processes that seem to be using the store, other than this one."""
+        alive = []
+        for path in self._others():
+            owner, _, rest = path.name.partition("~")
             pid = rest.partition("~")[0]
-            if owner == host and pid.isdecimal() and int(pid) != os.getpid() and not _alive(int(pid)):
-                shutil.rmtree(self.folder / name, ignore_errors=True)
+            with _deserted(path, self.folder) as deserted:
+                if deserted:
+                    continue
+            # before format 2 the owner was a host name, and there was no lock
+            old_here = owner == os.uname().nodename and pid.isdecimal()
+            if not old_here or _alive(int(pid)):
+                alive.append(f"process {pid} ({path})")
+        return alive
+
+    def _others(self) -> list[Path]:
+        try:
+            names = sorted(os.listdir(self.folder))
+        except (FileNotFoundError, NotADirectoryError, PermissionError):
+            return []
+        return [self.folder / name for name in names if self._mine is None or name != self._mine.name]
 
     def leave(self) -> None:
         """Delete this process's own folder."""
         if self._mine is not None and self._pid == os.getpid():
-            shutil.rmtree(self._mine, ignore_errors=True)
-            self._mine = None
+            self._unlock()  # first: some file systems keep a file that is open under another name
+            delete(self._mine)
+            self._mine, self._unlock = None, _nothing
+
+
+def _nothing() -> None:
+    """There is no lock to let go."""
+
+
+def _machine(folder: Path) -> str:
+    """The same for all processes that see each other's locks on this folder, and only for them."""
+    try:
+        boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii")
+    except (FileNotFoundError, PermissionError, UnicodeDecodeError):
+        boot = f"unknown {_unknown_boot}"
+    return digest_value([boot.strip(), folder.stat().st_dev])[:12]
+
+
+_unknown_boot = secrets.token_hex(8)
+
+
+def _hold(path: Path) -> int | None:
+    """An open file with a lock on it, until it is closed; None, and no file, where the file system has no locks."""
+    file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX)
+    except OSError:
+        os.close(file)
+        path.unlink(missing_ok=True)
+        return None
+    return file
+
+
+@contextlib.contextmanager
+def _deserted(path: Path, folder: Path) -> Iterator[bool]:
+    """Whether the owner of a scratch folder is dead; while this is open nobody else can take it over."""
+    try:
+        file = os.open(path / "lock", os.O_RDWR | os.O_CLOEXEC)
+    except OSError:
+        yield _unchanged_s(path) > _ABANDONED_S
+        return
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        yield False
+    else:
+        yield path.name.startswith(f"{_machine(folder)}~") or _unchanged_s(path) > _ABANDONED_S
+    finally:
+        os.close(file)
+
+
+def _unchanged_s(path: Path) -> float:
+    try:
+        newest = max([path.stat().st_mtime, *(entry.stat().st_mtime for entry in path.glob("*"))])
+    except OSError:
+        return 0.0
+    return time.time() - newest
 
 
 def _alive(pid: int) -> bool:
@@ -95,25 +254,69 @@ def _alive(pid: int) -> bool:
     return True
 
 
+def delete(path: Path, freed: Callable[[os.stat_result], None] | None = None) -> None:
+    """Delete a file or a folder with all in it, as far as that is possible; `freed` is told of each file."""
+    with contextlib.suppress(OSError):
+        found = path.stat(follow_symlinks=False)
+        if stat.S_ISDIR(found.st_mode):
+            for entry in os.scandir(path):
+                delete(Path(entry.path), freed)
+            path.rmdir()
+        else:
+            path.unlink()
+            if freed is not None:
+                freed(found)
+
+
 @contextlib.contextmanager
-def full_disk_is_named(path: Path) -> Iterator[None]:
-    """Turn "no space left" and "read-only" into a sentence that says which disk and what to do."""
+def disk_faults_named(path: Path) -> Iterator[None]:
+    """Turn what a disk refuses into a sentence that says which, and what to do."""
     try:
         yield
     except OSError as error:
-        if error.errno in (errno.ENOSPC, errno.EDQUOT):
-            raise WorkError(
-                f"the disk that holds {path} is full: nothing was lost, but the work cannot go on; "
-                "free some space (`lightstage gc --dry-run` shows what the store could give) and run again"
-            ) from error
-        if error.errno in (errno.EROFS, errno.EACCES, errno.EPERM):
-            raise WorkError(f"{path} cannot be written ({error.strerror}); choose another --store") from error
-        raise
+        sentence = disk_fault(error, path)
+        if sentence is None:
+            raise
+        raise WorkError(sentence) from error
+
+
+def disk_fault(error: OSError, path: Path | str) -> str | None:
+    """What a disk's refusal means and what to do about it; None where it is no fault of the disk."""
+    code, why = error.errno, error.strerror
+    if code in (errno.ENOSPC, errno.EDQUOT):
+        return (
+            f"the disk that holds {path} is full: nothing was lost, but the work cannot go on; "
+            "free some space (`lightstage gc --dry-run` shows what the store could give) and run again"
+        )
+    if code in (errno.EROFS, errno.EACCES, errno.EPERM):
+        return f"{path} cannot be written ({why}); choose another --store, or have it made yours"
+    if code in (errno.EMFILE, errno.ENFILE):
+        return (
+            f"too many files are open, so {path} cannot be: nothing was lost; raise the limit (`ulimit -n 4096`) "
+            "and run again"
+        )
+    if code == errno.EFBIG:
+        return (
+            f"{path} would be larger than its file system or `ulimit -f` allows: nothing was lost; choose another "
+            "--store, or raise the limit, and run again"
+        )
+    if code == errno.EIO:
+        return (
+            f"the disk that holds {path} fails ({why}): see to the disk, then `lightstage verify` says what is "
+            "damaged"
+        )
+    if code == errno.ENAMETOOLONG:
+        return f"{str(path)[:200]}... is too long a name for its file system; use shorter ones"
+    if code == errno.ELOOP:
+        return f"{path} links to itself; name the real folder"
+    if code in _GONE:
+        return f"the disk that holds {path} is gone ({why}): bring it back and run again"
+    return None
 
 
 def write_new(path: Path, data: bytes | memoryview, *, durable: bool) -> None:
     """Write a new file, and wait for the disk if it is to be durable. `path` should lie in scratch."""
-    with full_disk_is_named(path), open(path, "xb", buffering=0) as file:
+    with disk_faults_named(path), open(path, "xb", buffering=0) as file:
         left = memoryview(data)
         while left:
             left = left[file.write(left) :]
@@ -150,69 +353,143 @@ class Flusher:
 
 
 def _flush(path: Path) -> None:
-    with full_disk_is_named(path), contextlib.suppress(FileNotFoundError), open(path, "rb") as file:
+    with disk_faults_named(path), contextlib.suppress(FileNotFoundError), open(path, "rb") as file:
         os.fsync(file.fileno())
 
 
-def replace(scratch: Scratch, path: Path, data: bytes) -> None:
+def replace(scratch: Scratch, path: Path, data: bytes, *, durable: bool = True) -> None:
     """Put `data` at `path`, in place of what stood there, in one step."""
-    with full_disk_is_named(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = scratch.path()
-        write_new(temporary, data, durable=True)
-        os.replace(temporary, path)
+    temporary = scratch.path()
+    with disk_faults_named(path), scratch.present():
+        write_new(temporary, data, durable=durable)
+        _in_folder(scratch, path.parent, lambda: os.replace(temporary, path))
 
 
 def put_if_absent(scratch: Scratch, path: Path, data: bytes | memoryview, *, durable: bool = True) -> bool:
     """Put `data` at `path` unless something is there already; says whether it did."""
-    with full_disk_is_named(path):
-        temporary = scratch.path()
+    temporary = scratch.path()
+    with disk_faults_named(path), scratch.present():
         write_new(temporary, data, durable=durable)
         try:
-            _link_new(temporary, path)
+            move_new(scratch, temporary, path)
         except FileExistsError:
-            return False
-        finally:
             temporary.unlink(missing_ok=True)
+            return False
         return True
 
 
-def _link_new(source: Path, target: Path) -> None:
+def move_new(scratch: Scratch, source: Path, target: Path) -> None:
+    """Move a finished file from scratch to where nothing is yet, in one step.
+
+    Raises:
+        FileExistsError: something is there, and stays.
+    """
+    _in_folder(scratch, target.parent, lambda: _move_new(source, target))
+
+
+def _in_folder(scratch: Scratch, folder: Path, act: Callable[[], None]) -> None:
+    """Do what needs a folder, which most often is there."""
+    try:
+        act()
+    except FileNotFoundError:
+        scratch.make_folder(folder)
+        act()
+
+
+def _move_new(source: Path, target: Path) -> None:
     try:
         os.link(source, target)
-    except FileNotFoundError:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        os.link(source, target)
     except OSError as error:
-        if error.errno not in _NO_LINKS:
+        if error.errno not in NO_LINKS:
             raise
-        # a file system without hard links: two writers may both believe that they were first, with equal content
-        if target.exists():
-            raise FileExistsError(target) from error
-        target.parent.mkdir(parents=True, exist_ok=True)
-        os.replace(source, target)
+        _rename_new(source, target)
+    else:
+        source.unlink()
+
+
+def _rename_new(source: Path, target: Path) -> None:
+    code = _rename_no_replace(source, target)
+    if code == 0:
+        return
+    if code not in (errno.EINVAL, errno.ENOSYS, errno.ENOTSUP):
+        raise OSError(code, os.strerror(code), str(target))
+    folder = os.open(target.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        # without locks either, two writers may each believe that they were first, with equal content
+        with contextlib.suppress(OSError):
+            fcntl.flock(folder, fcntl.LOCK_EX)
+        if os.path.lexists(target):
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(target))
+        os.rename(source, target)
+    finally:
+        os.close(folder)
+
+
+def _rename_no_replace(source: Path, target: Path) -> int:
+    """The kernel's renameat2 with RENAME_NOREPLACE, which Python does not have; returns the error, 0 for none."""
+    import ctypes
+
+    function = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
+    if function is None:
+        return errno.ENOSYS
+    here, no_replace = -100, 1
+    done = function(here, os.fsencode(source), here, os.fsencode(target), no_replace)
+    return 0 if done == 0 else ctypes.get_errno()
+
+
+def put_back(scratch: Scratch, aside: Path, path: Path) -> None:
+    """Undo the taking aside of a file or a folder, unless another stands there by now; that one stays."""
+    try:
+        if aside.is_dir():
+            os.rename(aside, path)
+        else:
+            move_new(scratch, aside, path)
+    except OSError as error:
+        if error.errno not in (errno.EEXIST, errno.ENOTEMPTY):
+            raise
+        delete(aside)
 
 
 def link_or_copy(source: Path, target: Path) -> None:
-    """A second name for a file, or a copy where the file system cannot link."""
-    try:
-        os.link(source, target)
-    except FileNotFoundError:
-        raise
-    except FileExistsError:
-        raise
-    except OSError as error:
-        if error.errno not in _NO_LINKS:
-            raise
-        with full_disk_is_named(target):
+    """A second name for a file, or a copy where the file system cannot link; `target` lies in scratch.
+
+    Either shows whoever takes the source away in the same moment (`gc`) that it is in use: by the number of its
+    links, or by its time.
+
+    Raises:
+        FileNotFoundError: there is no such file, or no folder for the target.
+    """
+    with disk_faults_named(target):
+        try:
+            os.link(source, target)
+        except OSError as error:
+            if error.errno not in NO_LINKS:
+                raise
+            if not renewed(source):
+                raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(source)) from None
             shutil.copyfile(source, target)
+            with open(target, "rb") as file:
+                os.fsync(file.fileno())
+
+
+def renewed(path: Path) -> bool:
+    """Say that a file is in use again, so that `gc` does not take it for old; returns whether it is still there."""
+    try:
+        os.utime(path)
+    except FileNotFoundError:
+        return False
+    except OSError:
+        pass  # another user's: its age must do
+    return True
 
 
 def files_below(folder: Path) -> Iterator["os.DirEntry[str]"]:
-    """Every file below a folder, by name."""
-    if not folder.is_dir():
+    """Every file below a folder, by name; a folder that is not there, or no more, has none."""
+    try:
+        entries = sorted(os.scandir(folder), key=lambda item: item.name)
+    except (FileNotFoundError, NotADirectoryError):
         return
-    for entry in sorted(os.scandir(folder), key=lambda item: item.name):
+    for entry in entries:
         if entry.is_dir(follow_symlinks=False):
             yield from files_below(Path(entry.path))
         else:

@@ -72,9 +72,11 @@ def write_group(
     import zarr
     from zarr.codecs import BloscCodec
 
+    from store.unshared import UnsharedStore
+
     secondary = [name for name, coordinate in coordinates.items() if coordinate.dims != (name,)]
     group_attrs = {**attrs, **({"coordinates": " ".join(secondary)} if secondary else {})}
-    group = zarr.create_group(folder, zarr_format=3, attributes=group_attrs)
+    group = zarr.create_group(UnsharedStore(folder), zarr_format=3, attributes=group_attrs)
     for name, array in arrays.items():
         group.create_array(
             name,

@@ -65,7 +65,7 @@ def write_note(scratch: Scratch, group: Path, written: Path, chunks: Placed, mad
     below = {Path(entry.path).relative_to(written).as_posix(): Path(entry.path) for entry in files_below(written)}
     plain = {
         **made,
-        "group": _own_place(group),
+        "group": own_place(group),
         "chunks": {
             array: {"/".join(map(str, index)): ref.as_plain() for index, ref in placed.items()}
             for array, placed in chunks.items()
@@ -91,14 +91,14 @@ def read_note(group: Path) -> Note:
             for array, refs in made["chunks"].items()
             for index, ref in refs.items()
         }
-        if made["group"] != _own_place(group):
+        if made["group"] != own_place(group):
             raise DamagedFileError(path, remedy)
         return Note(dict(made["files"]), links, made)
     except (KeyError, TypeError, ValueError, AttributeError, IndexError):
         raise DamagedFileError(path, remedy) from None
 
 
-def _own_place(group: Path) -> str:
+def own_place(group: Path) -> str:
     """A group's place in the store, which may itself lie anywhere."""
     return "/".join(group.parts[-3:])
 

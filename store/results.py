@@ -4,7 +4,6 @@ Beside each group lies `<recipe>-<manifest>.json`, its note: what its files are,
 where. Beside them the text file `current` names the group that the last run used.
 """
 
-import contextlib
 import os
 import shutil
 from collections.abc import Mapping
@@ -13,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from store.errors import DamagedFileError, RequestError
-from store.files import full_disk_is_named, replace
+from store.files import disk_faults_named, renewed, replace
 from store.grid import ArrayTemplate, Coordinate, write_group
 from store.notes import Placed, note_path, read_note, whole, write_note
 from store.root import Store
@@ -52,12 +51,9 @@ def publish(
     path = name.path(store)
     if path.is_dir() and not whole(path, chunks, store.chunks):
         store.scratch.remove(path)
-    if path.is_dir():
-        with contextlib.suppress(OSError):
-            os.utime(note_path(path))  # in use again: `gc` must not take it for old
-    else:
+    if not (path.is_dir() and renewed(note_path(path))):
         temporary = store.scratch.path()
-        with full_disk_is_named(path):
+        with disk_faults_named(path):
             write_group(
                 temporary,
                 arrays=arrays,
@@ -67,7 +63,7 @@ def publish(
                 source=store.chunks,
             )
             store.chunks.flush()
-            path.parent.mkdir(parents=True, exist_ok=True)
+            store.scratch.make_folder(path.parent)
             write_note(store.scratch, path, temporary, chunks, provenance)
             try:
                 os.rename(temporary, path)
@@ -96,10 +92,11 @@ def lacks(path: Path, made: Mapping[str, Any]) -> list[str]:
     return missing
 
 
-def set_current(name: ResultName, store: Store) -> None:
-    """Say that this is the result that the last run used."""
+def set_current(name: ResultName, store: Store) -> bool:
+    """Say that this is the result that the last run used; returns whether it is there, and so stays there."""
     if current(name.session, name.node, store) != name.folder:
         replace(store.scratch, store.results / name.session / name.node / "current", f"{name.folder}\n".encode())
+    return current(name.session, name.node, store) == name.folder
 
 
 def current(session: str, node: str, store: Store) -> str | None:

@@ -1,15 +1,14 @@
 """The store: one folder that holds everything, and the object that the rest of the program asks for it."""
 
-import json
 import os
 from pathlib import Path
 
+from store import marker
 from store.chunks import Chunks
 from store.errors import RequestError
-from store.files import Scratch, replace
+from store.files import Scratch, disk_fault, put_if_absent
+from store.marker import Marker
 from store.records import Records
-
-FORMAT = "lightstage-store/1"
 
 
 class Store:
@@ -28,41 +27,80 @@ class Store:
         """Open the store at `root`, and make it when it is not there.
 
         Raises:
-            RequestError: `root` is a file, an address, somebody else's folder, or of a newer format.
+            RequestError: `root` is a file, an address, somebody else's folder, or of another format.
         """
-        if "://" in str(root):
-            raise RequestError(f"--store {root}: only a local folder can be a store so far")
-        self.root = Path(os.path.abspath(root))
-        self.scratch = Scratch(self.root / "tmp")
+        self.root = store_folder(root)
+        self._lay_out(_opened(self.root, create=create))
+
+    @classmethod
+    def of_any_format(cls, root: str | Path) -> "Store":
+        """A store that this program does not read yet: for `lightstage upgrade` alone."""
+        store = cls.__new__(cls)
+        store.root = store_folder(root)
+        store._lay_out(None)
+        return store
+
+    def _lay_out(self, found: Marker | None) -> None:
+        self.id = "" if found is None else found.id
+        """Of this store, wherever it is mounted; empty where there is none yet."""
+        self.scratch = Scratch(self.root / "tmp", found)
         self.chunks = Chunks(self.root / "cache" / "blobs", self.scratch)
         self.records = Records(self.root / "cache", self.scratch)
         self.sessions = self.root / "sessions"
         self.results = self.root / "results"
         self.calibration = self.root / "calibration"
         self.quarantine = self.root / "quarantine"
-        self._open(create)
 
-    def _open(self, create: bool) -> None:
-        marker = self.root / "store.json"
-        try:
-            found = json.loads(marker.read_bytes()).get("format")
-        except (FileNotFoundError, NotADirectoryError):
-            if self.root.exists() and not self.root.is_dir():
-                raise RequestError(f"--store {self.root} is a file; a folder is needed") from None
-            if self.root.is_dir() and any(entry.name != "tmp" for entry in self.root.iterdir()):
-                raise RequestError(
-                    f"--store {self.root} holds other files and no store; name an empty or a new folder"
-                ) from None
-            if create:
-                self._make(marker)
-            return
-        except (ValueError, AttributeError):
-            found = None
-        if found != FORMAT:
-            raise RequestError(f"{marker} says {found!r}; this program reads {FORMAT}")
 
-    def _make(self, marker: Path) -> None:
-        try:
-            replace(self.scratch, marker, json.dumps({"format": FORMAT}).encode())
-        except OSError as error:
-            raise RequestError(f"--store {self.root}: no folder can be made there ({error.strerror})") from None
+def store_folder(name: str | Path) -> Path:
+    """The folder that --store names.
+
+    Raises:
+        RequestError: the name cannot be one of a folder.
+    """
+    text = os.fspath(name)
+    if not text:
+        raise RequestError("--store (or LIGHTSTAGE_STORE) is empty; name a folder")
+    if "://" in text:
+        raise RequestError(f"--store {text}: only a local folder can be a store so far")
+    if "\0" in text:
+        raise RequestError(f"--store {text!r}: a name of a folder holds no NUL")
+    try:
+        return Path(os.path.abspath(text))
+    except FileNotFoundError:
+        raise RequestError(
+            f"--store {text}: the working folder has been removed; change to another, or name the store from / on"
+        ) from None
+
+
+def _opened(root: Path, *, create: bool) -> Marker | None:
+    try:
+        found = marker.read(root)
+        if found is None:
+            if root.exists() and not root.is_dir():
+                raise RequestError(f"--store {root} is a file; a folder is needed")
+            if root.is_dir() and any(entry.name != "tmp" for entry in root.iterdir()):
+                raise RequestError(f"--store {root} holds other files and no store; name an empty or a new folder")
+            return _made(root) if create else None
+    except OSError as error:
+        why = disk_fault(error, root) or error.strerror or str(error)
+        raise RequestError(f"--store {str(root)[:200]} cannot be opened: {why}") from None
+    refusal = marker.other_format(found, root)
+    if refusal is not None:
+        raise refusal
+    return found
+
+
+def _made(root: Path) -> Marker:
+    """Make a store. Of two that do so at once, both get the one that was first."""
+    try:
+        (root / "tmp").mkdir(parents=True, exist_ok=True)
+        scratch = Scratch(root / "tmp")
+        put_if_absent(scratch, root / marker.NAME, Marker.new().as_bytes())
+        scratch.leave()
+    except OSError as error:
+        raise RequestError(f"--store {root}: no folder can be made there ({error.strerror})") from None
+    made = marker.read(root)
+    if made is None:
+        raise marker.gone(root)
+    return made

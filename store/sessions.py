@@ -5,7 +5,8 @@
 
 `session.json` is the truth, is sealed, and is replaced in one step; the pictures themselves are stored chunks. The
 group `raw.zarr` is a link to the newest of the folders `.raw-<digest>.zarr` beside it, made of hard links to those
-chunks, so that a run that is reading the old version is not disturbed by an import.
+chunks, so that a run that is reading the old version is not disturbed by an import. A file system without symbolic
+links has the newest one at `raw.zarr` itself, whose note `raw.json` says which version it is.
 
 Whoever changes a session says from which session.json it was made. Where another command has put a newer one in
 between, nothing is written, and the change is made again from that one. The comparison and the replacement are
@@ -34,9 +35,9 @@ from store.capture import SESSION_NAME
 from store.chunks import ChunkIndex, ChunkRef
 from store.digest import SHORT, digest_bytes, digest_value
 from store.errors import DamagedFileError, RequestError, WorkError
-from store.files import full_disk_is_named
+from store.files import disk_faults_named
 from store.grid import ArrayTemplate, Coordinate, write_group
-from store.notes import note_path, write_note
+from store.notes import note_path, read_note, write_note
 from store.root import Store
 from store.sealed import seal, unseal
 
@@ -252,9 +253,9 @@ def _changing(name: str, store: Store, *, new: bool = False) -> Iterator[None]:
     path = store.sessions / name / ".lock"
     give_up = time.monotonic() + PATIENCE_S
     while True:
-        with full_disk_is_named(path):
+        with disk_faults_named(path):
             if new:
-                path.parent.mkdir(parents=True, exist_ok=True)
+                store.scratch.make_folder(path.parent)
             try:
                 file = open(path, "wb")  # noqa: SIM115
             except FileNotFoundError:
@@ -290,13 +291,28 @@ def _locked(descriptor: int) -> bool:
 
 
 def raw_group(session: Session, store: Store) -> Path:
-    """The group of a session's pictures: of this version, whatever `raw.zarr` shows."""
+    """The group of a session's pictures: of this version, whatever `raw.zarr` shows.
+
+    Where `raw.zarr` is no link but this version itself, that is the group.
+    """
     content = {
         "facts": session.facts,
         "images": [[[ref.blob for ref in band] for band in frame] for frame in session.images],
         "mask": session.mask and session.mask.chunk.blob,
     }
-    return store.sessions / session.name / f".raw-{digest_value(content)[:SHORT]}.zarr"
+    hidden = store.sessions / session.name / f".raw-{digest_value(content)[:SHORT]}.zarr"
+    shown = hidden.with_name("raw.zarr")
+    return shown if _version(shown) == hidden.name else hidden
+
+
+def _version(shown: Path) -> str | None:
+    """Which version `raw.zarr` is, where it is no link to one."""
+    if shown.is_symlink():
+        return None
+    try:
+        return str(read_note(shown).made.get("version"))
+    except (OSError, DamagedFileError):
+        return None
 
 
 def raw_chunks(session: Session) -> dict[str, dict[ChunkIndex, ChunkRef]]:
@@ -334,7 +350,7 @@ def write_raw(session: Session, store: Store) -> None:
     chunks = raw_chunks(session)
     hidden = ("illumination", "time_s", "polarisation", "bands_nm")
     temporary = store.scratch.path()
-    with full_disk_is_named(target):
+    with disk_faults_named(target):
         write_group(
             temporary,
             arrays=arrays,
@@ -347,13 +363,19 @@ def write_raw(session: Session, store: Store) -> None:
             source=store.chunks,
         )
         store.chunks.flush()
-        write_note(store.scratch, target, temporary, chunks, {"session": session.name})
+        write_note(store.scratch, target, temporary, chunks, _made(session, target))
         try:
             os.rename(temporary, target)
         except OSError:
             if not target.is_dir():  # another import has made the same folder
                 raise
             shutil.rmtree(temporary)
+
+
+def _made(session: Session, group: Path) -> dict[str, Any]:
+    """What a note of the session's group says beside its files: of which session it is, and which version."""
+    version = {} if group.name.startswith(".") else {"version": _version(group)}
+    return {"session": session.name, **version}
 
 
 def raw_coordinates(session: Session) -> dict[str, Coordinate]:
@@ -379,7 +401,7 @@ def show_raw(name: str, store: Store, *, anew: bool = False) -> None:
     session = read_session(name, store)
     group = raw_group(session, store)
     link = store.sessions / name / "raw.zarr"
-    shown = link.is_symlink() and os.readlink(link) == group.name
+    shown = group == link or (link.is_symlink() and os.readlink(link) == group.name)
     if shown and not anew and group.is_dir() and note_path(group).is_file():
         return
     if anew:
@@ -393,8 +415,27 @@ def show_raw(name: str, store: Store, *, anew: bool = False) -> None:
 
 def _link_raw(session: Session, store: Store) -> None:
     link = store.sessions / session.name / "raw.zarr"
-    wanted = raw_group(session, store).name
-    if not (link.is_symlink() and os.readlink(link) == wanted):
-        temporary = store.scratch.path()
-        os.symlink(wanted, temporary)
-        os.replace(temporary, link)
+    group = raw_group(session, store)
+    if group == link or (link.is_symlink() and os.readlink(link) == group.name):
+        return
+    temporary = store.scratch.path()
+    with disk_faults_named(link):
+        try:
+            os.symlink(group.name, temporary)
+        except OSError as error:
+            if error.errno not in files.NO_LINKS:
+                raise
+            _move_raw(session, group, link, store)
+        else:
+            if not link.is_symlink():  # it was on a file system without such links
+                store.scratch.remove(link)
+                note_path(link).unlink(missing_ok=True)
+            os.replace(temporary, link)
+
+
+def _move_raw(session: Session, group: Path, shown: Path, store: Store) -> None:
+    """Let a group be `raw.zarr`; after a kill at any point it is moved, or made, at the next look."""
+    store.scratch.remove(shown)
+    write_note(store.scratch, shown, group, raw_chunks(session), {"session": session.name, "version": group.name})
+    os.rename(group, shown)
+    note_path(group).unlink(missing_ok=True)

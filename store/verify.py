@@ -316,7 +316,7 @@ def _link(store: Store, source: Path, target: Path) -> None:
     """Let `target` be `source`, in one step."""
     temporary = store.scratch.path()
     link_or_copy(source, temporary)
-    target.parent.mkdir(parents=True, exist_ok=True)
+    store.scratch.make_folder(target.parent)
     os.replace(temporary, target)
 
 
@@ -360,13 +360,15 @@ def _digest_in(path: Path, by_inode: Mapping[tuple[int, int], str]) -> str | Non
         stat = path.stat()
     except OSError:
         return None
-    return by_inode.get((stat.st_dev, stat.st_ino)) or digest_of(path)
+    # of a file without other names the number may have been another's: some file systems use them again
+    known = by_inode.get((stat.st_dev, stat.st_ino)) if stat.st_nlink > 1 else None
+    return known or digest_of(path)
 
 
 def _quarantine(store: Store, bad: set[str], views: Iterable[_View]) -> None:
     if not bad:
         return
-    store.quarantine.mkdir(parents=True, exist_ok=True)
+    store.scratch.make_folder(store.quarantine)
     for blob in sorted(bad):
         path = store.chunks.path(blob)
         if digest_of(path) == blob:
@@ -393,7 +395,7 @@ _GROUP = re.compile(rf"[0-9a-f]{{{SHORT}}}-[0-9a-f]{{{SHORT}}}")
 _CHUNK = re.compile(r"/c/[0-9/]+$")
 _RAW = rf"\.raw-[0-9a-f]{{{SHORT}}}"
 _OURS = {
-    "sessions": re.compile(rf"[^/]+/(session\.json|\.lock|raw\.zarr|{_RAW}\.json|{_RAW}\.zarr/.*)"),
+    "sessions": re.compile(rf"[^/]+/(session\.json|\.lock|raw\.zarr(/.*)?|raw\.json|{_RAW}\.json|{_RAW}\.zarr/.*)"),
     "results": re.compile(rf"[^/]+/[^/]+/(current|{_GROUP.pattern}(\.json|/.*))"),
     "calibration": re.compile(r"[^/]+/item\.(json|yaml)"),
     "cache": re.compile(r"blobs/[0-9a-f]{2}/[0-9a-f]{32}|(blocks|nodes|runs)/[0-9a-f]{2}/[0-9a-f]{32}\.json"),

@@ -1,0 +1,179 @@
+"""Carrying an older store over, one format after the other.
+
+A step (STEPS, by the format that it begins with) goes through the store and writes anew, file by file, what the
+next format has otherwise; what it finds written so it leaves alone. So an upgrade can be stopped anywhere and goes
+on where it was. `store.json` says "upgrading" from the first change to the last, and no command but this one takes
+the store for its own meanwhile. Nothing is removed but short cuts, which are made again.
+"""
+
+import contextlib
+import fcntl
+import json
+import os
+import secrets
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from dataclasses import replace as changed
+from pathlib import Path
+from typing import Any
+
+from store import marker
+from store.calibration import get_item, item_names
+from store.chunks import ChunkRef
+from store.errors import LightstageError, RequestError, WorkError
+from store.files import delete, disk_faults_named, replace
+from store.marker import FORMAT, DamagedMarkerError, Marker
+from store.notes import own_place
+from store.records import BlockRecord
+from store.root import Store
+from store.sealed import is_sealed, seal
+from store.sessions import show_raw
+
+Progress = Callable[[Iterable[Any], int, str], Iterable[Any]]
+
+
+@dataclass
+class Upgraded:
+    """What an upgrade did."""
+
+    began: int
+    """The format that the store had; the present one where there was nothing to do."""
+    carried: Counter[str] = field(default_factory=Counter)
+    """How many of each kind of file were written anew."""
+    left: list[str] = field(default_factory=list)
+    """What could not be carried over, a line each; it lies where it lay."""
+
+
+def upgrade(root: str | Path, *, progress: Progress | None = None) -> Upgraded:
+    """Carry the store at `root` over to the format of this program.
+
+    Raises:
+        RequestError: there is no store, or one of a newer lightstage.
+        WorkError: another process uses it.
+    """
+    store = Store.of_any_format(root)
+    with disk_faults_named(store.root), _alone(store):
+        found = _found(store.root)
+        if found.format > FORMAT:
+            raise marker.other_format(found, store.root) or WorkError(f"{store.root} is of another format")
+        done = Upgraded(found.format)
+        if found == changed(found, format=FORMAT, upgrading=False):
+            return done
+        _refuse_company(store)
+        present = Marker(found.format, found.id or secrets.token_hex(16), upgrading=True)
+        for step in range(found.format, FORMAT + 1):
+            present = changed(present, format=step)
+            os.sync()  # a step is on the disk before the store says that it is done
+            replace(store.scratch, store.root / marker.NAME, present.as_bytes())
+            if step in STEPS:
+                STEPS[step](store, done, progress or _silently)
+        os.sync()
+        replace(store.scratch, store.root / marker.NAME, changed(present, upgrading=False).as_bytes())
+        store.scratch.leave()
+        return done
+
+
+def _silently(things: Iterable[Any], count: int, label: str) -> Iterable[Any]:
+    return things
+
+
+def _found(root: Path) -> Marker:
+    try:
+        found = marker.read(root)
+    except DamagedMarkerError:
+        return Marker(1, "", upgrading=True)  # whatever it was: each step leaves alone what it has done
+    if found is None:
+        raise RequestError(f"--store {root}: there is no store to upgrade")
+    return found
+
+
+@contextlib.contextmanager
+def _alone(store: Store) -> Iterator[None]:
+    try:
+        folder = os.open(store.root, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    except (FileNotFoundError, NotADirectoryError):
+        raise RequestError(f"--store {store.root}: there is no store to upgrade") from None
+    try:
+        try:
+            fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise WorkError(f"another `lightstage upgrade` is at work in {store.root}; wait for it") from None
+        except OSError:
+            pass  # no locks here: two do the same twice, in steps that are whole each
+        yield
+    finally:
+        os.close(folder)
+
+
+def _refuse_company(store: Store) -> None:
+    others = store.scratch.others()
+    if others:
+        raise WorkError(
+            f"the store {store.root} is in use by {', '.join(others)}; wait until that has ended (or remove the "
+            "folder, if it has)"
+        )
+
+
+def _seal_all(store: Store, done: Upgraded, progress: Progress) -> None:
+    """1 -> 2: sessions, items, records and notes are sealed, groups of pictures noted, and short cuts dropped."""
+    work: list[tuple[str, Callable[[bytes, Path], bytes], list[Path]]] = [
+        ("items", _sealed_item, sorted(store.calibration.glob("*/item.json"))),
+        ("sessions", _sealed_session, sorted(store.sessions.glob("*/session.json"))),
+        ("results", _sealed_note, sorted(store.results.glob("*/*/*-*.json"))),
+        ("records", _sealed_record, list(store.records.files("blocks"))),
+    ]
+    for kind, sealed, paths in work:
+        for path in progress(paths, len(paths), kind):
+            data = path.read_bytes()
+            if is_sealed(data):
+                continue
+            try:
+                replace(store.scratch, path, sealed(data, path), durable=False)
+                done.carried[kind] += 1
+            except (ValueError, KeyError, TypeError, AttributeError, IndexError, RecursionError):
+                done.left.append(f"{path} is damaged; `lightstage verify` says what can be done")
+    names = sorted(path.parent.name for path in store.sessions.glob("*/session.json"))
+    for name in progress(names, len(names), "pictures"):
+        with _said(done):
+            show_raw(name, store)
+    for kind, digits in item_names(store):
+        with _said(done):
+            get_item(kind, digits, store)
+    for kind in ("nodes", "runs"):
+        delete(store.records.folder / kind)
+
+
+@contextlib.contextmanager
+def _said(done: Upgraded) -> Iterator[None]:
+    try:
+        yield
+    except LightstageError as error:
+        done.left.append(str(error))
+
+
+def _sealed_item(data: bytes, path: Path) -> bytes:
+    return seal({**json.loads(data), "original": path.with_name("item.yaml").read_text(encoding="utf-8")}, indent=1)
+
+
+def _sealed_session(data: bytes, path: Path) -> bytes:
+    return seal(json.loads(data))
+
+
+def _sealed_note(data: bytes, path: Path) -> bytes:
+    plain = json.loads(data)
+    for refs in plain["chunks"].values():
+        for ref in refs.values():
+            ChunkRef.from_plain(ref)
+    return seal({**plain, "files": dict(plain["files"]), "group": own_place(path.with_suffix(""))}, indent=1)
+
+
+def _sealed_record(data: bytes, path: Path) -> bytes:
+    record = BlockRecord.from_plain(json.loads(data))
+    if record.key != path.stem:
+        raise ValueError(path)
+    return seal(record.as_plain())
+
+
+STEPS: Mapping[int, Callable[[Store, Upgraded, Progress], None]] = {1: _seal_all}
+"""By the format that a step begins with: what makes the next one of it."""
