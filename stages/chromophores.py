@@ -111,7 +111,8 @@ def chromophores(
     oxygen = logs is None and bands >= _TELLS_OXYGEN
     names = [*_MAPS, *(_OXYGEN if oxygen else ())]
     made = {name: np.full(height * width, np.nan, np.float32) for name in names}
-    value, noise = reflectance.reshape(bands, -1), standard_error.reshape(bands, -1)
+    # in float64: the residual is a small difference of logarithms
+    value, noise = (np.asarray(a, np.float64).reshape(bands, -1) for a in (reflectance, standard_error))
     with np.errstate(invalid="ignore"):
         usable = np.isfinite(value) & np.isfinite(noise) & (value > np.maximum(_DARKEST * noise, 0))
     places = np.flatnonzero(usable.sum(axis=0) >= 3)
@@ -278,7 +279,7 @@ def _stats(made: Mapping[str, Image], spectra: Array, oxygen: bool) -> dict[str,
     return stats
 
 
-def _doubts(spectra: Image, passing: Array, saturation: float, vessel_radius_um: float) -> list[str]:
+def _doubts(spectra: Array, passing: Array, saturation: float, vessel_radius_um: float) -> list[str]:
     if not spectra.size:
         return ["no pixel is valid in all bands, so whether the subject is skin was not looked at"]
     found = skin_layers.likeness(

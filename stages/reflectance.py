@@ -118,20 +118,20 @@ def _constant(pictures: Mapping[str, Image]) -> tuple[Image, Image]:
     alpha, beta = noise_model(pictures)
     estimates = [(pictures["C"], 1)] if "C" in pictures else []
     estimates += [(pictures[a] + pictures[a + "c"], 2) for a in "XYZ" if a in pictures and a + "c" in pictures]
-    total = np.zeros(estimates[0][0].shape, np.float32)
-    weights = np.zeros_like(total)
+    total = np.zeros(estimates[0][0].shape)
+    weights = np.zeros(total.shape)
     known = np.isfinite(estimates[0][0])
     for estimate, _ in estimates[1:]:
         known |= np.isfinite(estimate)
     # one level for all weights, smoothed, so that a pixel's own noise does not choose its weight
-    first = np.where(np.isfinite(estimates[0][0]), estimates[0][0], np.float32(0))
-    shot = np.float32(beta) * np.maximum(cv2.GaussianBlur(first, (0, 0), 1.0), np.float32(0))
+    first = np.where(np.isfinite(estimates[0][0]), estimates[0][0], 0).astype(np.float64)
+    shot = beta * np.maximum(cv2.GaussianBlur(first, (0, 0), 1.0), 0)
     for estimate, count in estimates:
         seen = np.isfinite(estimate)
-        weight = np.where(seen, 1 / np.maximum(np.float32(count * alpha) + shot, np.float32(1e-20)), 0)
-        total += (weight * np.where(seen, estimate, 0)).astype(np.float32)
-        weights += weight.astype(np.float32)
-    weights = np.where(known, weights, np.float32(np.nan))
+        weight = np.where(seen, 1 / np.maximum(count * alpha + shot, 1e-20), 0)
+        total += weight * np.where(seen, estimate, 0)
+        weights += weight
+    weights = np.where(known, weights, np.nan)
     return np.asarray(total / weights, np.float32), np.asarray(1 / weights, np.float32)
 
 
@@ -158,10 +158,10 @@ def _smooth(constant: Image) -> Image:
     subject = find_subject(np.nan_to_num(middle)) & np.isfinite(middle) & (constant > 0).all(axis=0)
     if not subject.any():
         return np.ones(middle.shape, np.float32)
-    log = np.where(subject, np.log(np.where(subject, constant, 1)).mean(axis=0), 0).astype(np.float32)
+    log = np.where(subject, np.log(np.where(subject, constant, 1).astype(np.float64)).mean(axis=0), 0)
     sigma = _SMOOTH * constant.shape[2]
-    part = cv2.GaussianBlur(subject.astype(np.float32), (0, 0), sigma)
-    low = cv2.GaussianBlur(log, (0, 0), sigma) / np.maximum(part, np.float32(1e-6))
+    part = cv2.GaussianBlur(subject.astype(np.float64), (0, 0), sigma)
+    low = cv2.GaussianBlur(log, (0, 0), sigma) / np.maximum(part, 1e-6)
     return np.where(subject, np.exp(low - np.median(low[subject])), np.float32(np.nan)).astype(np.float32)
 
 

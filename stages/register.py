@@ -146,7 +146,8 @@ def _gains(
                 f"x={x}, y={y}; a flat must show light everywhere: capture it again, or set dark_included right"
             )
     sigma = smoothing_percent / 100 * size[1]
-    scale = float(cv2.GaussianBlur(lit[reference], (0, 0), sigma).max())
+    # in float64: a last bit of the blur would be one of every gain
+    scale = float(cv2.GaussianBlur(lit[reference].astype(np.float64), (0, 0), sigma).max())
     return {camera: (scale / values).astype(np.float32) for camera, values in lit.items()}
 
 

@@ -40,6 +40,9 @@ _LEAST_PART_PX = 400
 """A part of the mask of its own has so many pixels, or its norm is too noisy to tell a distance."""
 _OPEN = 0.98
 """A point is open when this much of its light reaches it."""
+_ROOT_MM, _MOST_TRIALS = 1e-6, 40
+"""The distance is told to a tenth of a millimetre at best; it is looked for so much closer that where the search
+ends does not show."""
 _SPECTRAL_BANDS = 3
 _FIRST_SWING = 2
 """The round from which parts are placed: before, shadows and bounced light are not in the norm yet."""
@@ -209,20 +212,20 @@ def _distance(
 
 
 def _root(residual: Any, guess: float, low: float, high: float) -> tuple[float, bool]:
-    """Where a rising or falling residual crosses zero, to 0.05 mm (regula falsi, Illinois); False if nowhere."""
+    """Where a rising or falling residual crosses zero (regula falsi, Illinois); False if nowhere."""
     at_low, at_high = residual(low), residual(high)
     if not at_low * at_high < 0:
         return guess, False
-    for _ in range(30):
+    for _ in range(_MOST_TRIALS):
         middle = (low * at_high - high * at_low) / (at_high - at_low)
         at_middle = residual(middle)
-        if abs(high - low) < 0.05 or at_middle == 0:
+        if at_middle == 0:
             break
         if at_middle * at_high < 0:
             low, at_low = high, at_high
         else:
             at_low /= 2
-        done = abs(high - middle) < 0.05
+        done = abs(high - middle) < _ROOT_MM
         high, at_high = middle, at_middle
         if done:
             break

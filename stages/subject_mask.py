@@ -28,7 +28,8 @@ def find_subject(constant: NDArray[np.floating]) -> NDArray[np.bool_]:
         StageError: nothing stands out.
     """
     known = np.isfinite(constant)
-    values = np.where(known, constant, 0).astype(np.float32)
+    # in float64, as below: a threshold follows, and the last bits of a blur are not the same everywhere
+    values = np.where(known, constant, 0).astype(np.float64)
     smooth = cv2.GaussianBlur(values, (0, 0), 0.8)
     bright = float(np.percentile(smooth, 99))
     if not bright > 0:
@@ -67,7 +68,7 @@ def lit(mask: NDArray[np.bool_], constant: NDArray[np.floating]) -> NDArray[np.b
     """
     if not mask.any():
         return mask
-    smooth = cv2.GaussianBlur(np.where(np.isfinite(constant), constant, 0).astype(np.float32), (0, 0), 0.8)
+    smooth = cv2.GaussianBlur(np.where(np.isfinite(constant), constant, 0).astype(np.float64), (0, 0), 0.8)
     usual = float(np.median(smooth[mask]))
     bright = mask & (smooth > _LIT * usual)
     if bright.all() or not (mask & ~bright).any():

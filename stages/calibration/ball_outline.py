@@ -111,7 +111,7 @@ def _coarse(image: NDArray[np.float32]) -> tuple[float, float, float]:
     edge &= _ridge(strength, gx, gy)
     ys, xs = np.nonzero(edge)
     if xs.size > 12000:
-        best = np.argsort(-strength[ys, xs])[:12000]
+        best = np.argsort(-strength[ys, xs], kind="stable")[:12000]
         ys, xs = ys[best], xs[best]
     ux, uy = gx[ys, xs] / strength[ys, xs], gy[ys, xs] / strength[ys, xs]
     first = _best_circle(xs, ys, ux, uy, small.shape)

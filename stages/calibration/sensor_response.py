@@ -100,7 +100,7 @@ def fit_linearity(exposure_s: Array, counts: Array, *, white_level: int) -> Line
         top = min(float(bright.max()), float(white_level))
         piled = (bright >= top).mean(1)
         values = np.mean(bright, 1)
-    order = np.argsort(times)
+    order = np.argsort(times, kind="stable")
     full = white_level
     linear: list[int] = []
     offset = slope = 0.0
