@@ -30,6 +30,7 @@ def configure(commands: Any) -> None:
     path = commands.add_parser("path", help="print where a node's result is, and nothing else")
     path.add_argument("node", metavar="NODE")
     add_session_options(path)
+    path.add_argument("--pipeline", type=Path, metavar="FILE", help="default: ./pipeline.yaml, or the packaged one")
     path.set_defaults(handler=handle_path)
 
 
@@ -146,15 +147,35 @@ def handle_graph(options: argparse.Namespace, screen: Screen) -> int:
 
 def handle_path(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage path."""
-    from store.results import current_path
     from store.sessions import read_session
 
     store = Store(options.store, create=False)
     read_session(options.session, store)
-    if options.node == "capture":
-        path = store.sessions / options.session / "raw.zarr"
-    else:
-        path = current_path(options.session, options.node, store)
+    path = group_path(options.session, options.node, store, options.pipeline)
     screen.say(str(path))
     screen.document({"path": str(path)})
     return 0
+
+
+def group_path(session: str, node: str, store: Store, pipeline: Path | None) -> Path:
+    """The zarr group of a node: its result in use, or the session's pictures where the node brings them in.
+
+    Raises:
+        RequestError: the node has no result for this session.
+    """
+    from store.results import current, current_path
+
+    if current(session, node, store) is None and node in _source_nodes(pipeline):
+        return store.sessions / session / "raw.zarr"
+    return current_path(session, node, store)
+
+
+def _source_nodes(pipeline: Path | None) -> list[str]:
+    """The nodes of a pipeline that read no other: they bring in the session, whatever they are called."""
+    from store import document
+
+    entries = document.load(pipeline_path(pipeline), what="a pipeline").value
+    nodes = entries.get("stages") if isinstance(entries, dict) else None
+    if not isinstance(nodes, dict):
+        return []
+    return [name for name, entry in nodes.items() if isinstance(entry, dict) and not entry.get("from")]
