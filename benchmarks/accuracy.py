@@ -163,7 +163,7 @@ def rendered(bench: Bench, lines: list[str]) -> None:
         "",
         "![n_z, cylinder](figures/nz_static_cylinder.png)",
         "",
-        "*n_z along one row and one column (the thesis' figures 3.10 to 3.13) for ratio, difference, minimal, and QP",
+        "*n_z along one row and one column (the thesis' figures 4.9 and 4.11 to 4.13) for ratio, difference, minimal, and QP",
         "started from each.* The same for the [sphere](figures/nz_static_sphere.png) and the",
         "[head](figures/nz_static_A.png).",
     ]
