@@ -19,6 +19,7 @@
     stimuli.py    stimuli: matched sets, with stimulus_files.py and face_points.py
     material.py   material: maps and a mesh for renderers
     relight.py    relight: the subject under other lights
+    figures.py    matplotlib, as every command uses it
     pictures.py   EXR and PNG whose colour is said; environment maps
     deliver.py    files for a folder of the user's
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cli.figures import pyplot
 from store.errors import WorkError
 from store.root import Store
 
@@ -36,9 +37,6 @@ def write_report(
     Raises:
         WorkError: it cannot be written.
     """
-    import matplotlib
-
-    matplotlib.use("Agg")
     session = plan.session
     figures = _FIGURES[item](plan, result, store)
     rows = _TABLES[item](result) if item in _TABLES else ((), [])
@@ -77,7 +75,7 @@ _Drawn = list[tuple[str, str, Any]]
 
 
 def _encoded(figure: Any) -> str:
-    import matplotlib.pyplot as plt
+    plt = pyplot()
 
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=110, bbox_inches="tight")
@@ -102,7 +100,7 @@ def _brightened(picture: Any) -> Any:
 
 
 def _axes(width: float = 9.0, height: float = 6.0, columns: int = 1) -> tuple[Any, Any]:
-    import matplotlib.pyplot as plt
+    plt = pyplot()
 
     figure, axes = plt.subplots(1, columns, figsize=(width, height), squeeze=False)
     row: Any = axes[0]

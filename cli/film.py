@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cli.figures import fonts
 from cli.show import Screen
 from store.errors import RequestError, WorkError
 from store.root import Store
@@ -344,11 +345,10 @@ _fonts: dict[int, "FreeTypeFont"] = {}
 
 def font(size: int) -> "FreeTypeFont":
     """The font that matplotlib brings; OpenCV's has no degree sign."""
-    import matplotlib
     from PIL import ImageFont
 
     if size not in _fonts:
-        _fonts[size] = ImageFont.truetype(Path(matplotlib.get_data_path(), "fonts/ttf/DejaVuSans.ttf"), size)
+        _fonts[size] = ImageFont.truetype(fonts() / "DejaVuSans.ttf", size)
     return _fonts[size]
 
 

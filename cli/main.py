@@ -18,6 +18,7 @@ from importlib import import_module  # noqa: E402
 from typing import Any, NoReturn  # noqa: E402
 
 from cli.show import Screen  # noqa: E402
+from hw.compiled import folder, offer  # noqa: E402
 from store.errors import DamagedChunkError, DamagedGroupError, LightstageError, RequestError  # noqa: E402
 
 VERSION = "0.1.0"
@@ -102,14 +103,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 raise RequestError("a command is missing (`lightstage --help` lists them)")
             build_parser().print_help()
             return 2
+        offer(options.store)
         try:
-            return int(options.handler(options, screen))
+            code = int(options.handler(options, screen))
         except (DamagedChunkError, DamagedGroupError) as damage:
             from cli.keep import set_aside
 
             set_aside(damage, options, screen)
             # begun again; what was computed before is there
-            return int(options.handler(options, screen))
+            code = int(options.handler(options, screen))
+        if "numba" in sys.modules and folder() is None:
+            screen.warn(
+                "compiled code is not kept, because neither the user's cache folder nor the store can be written, "
+                "and every command compiles anew; set XDG_CACHE_HOME to a folder that can be written"
+            )
+        return code
     except LightstageError as error:
         return _failed(error, error.exit_code, screen, words)
     except KeyboardInterrupt:

@@ -10,6 +10,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cli.figures import pyplot
 from cli.show import Screen
 from store.errors import RequestError, WorkError
 
@@ -447,10 +448,7 @@ def _thesis_count(n: int) -> int:
 def _draw_counts(rows: Sequence[tuple[int, int, int, int]], path: Path) -> None:
     if path.suffix.lower() not in _PICTURES:
         raise RequestError(f"--plot {path}: expected a file that ends in {', '.join(_PICTURES)}")
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
+    plt = pyplot()
 
     n, wilson, minimal, thesis = zip(*rows, strict=True)
     figure, axis = plt.subplots(figsize=(6.4, 4), layout="constrained")

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from cli.deliver import noted
+from cli.figures import pyplot
 from store.errors import RequestError
 from store.results import current_path
 from store.root import Store
@@ -33,10 +34,7 @@ def contact_sheet(session: str, store: Store) -> Path:
 
 
 def _draw(session: str, store: Store, path: Path) -> None:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
+    plt = pyplot()
     import numpy as np
 
     from store.grid import open_dataset

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cli.figures import pyplot
 from cli.run import add_run_options, override_items, paths_of, run_session, session_of
 from cli.show import Screen
 from store.errors import RequestError, WorkError
@@ -272,10 +273,7 @@ def _spectrum(skin: Skin, name: str, at: tuple[int, int] | None, where: "NDArray
 
 
 def _draw_maps(skin: Skin, picked: Sequence[Point], path: Path) -> None:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
+    plt = pyplot()
     import numpy as np
 
     from stages.colour import encode_srgb, linear_srgb_matrix
@@ -312,10 +310,7 @@ def _draw_maps(skin: Skin, picked: Sequence[Point], path: Path) -> None:
 
 
 def _draw_spectra(skin: Skin, picked: Sequence[Point], path: Path) -> None:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
+    plt = pyplot()
 
     figure, axis = plt.subplots(figsize=(7.5, 4.8), layout="constrained")
     for i, point in enumerate(picked):
@@ -334,7 +329,7 @@ def _draw_spectra(skin: Skin, picked: Sequence[Point], path: Path) -> None:
 
 
 def _save(figure: Any, path: Path) -> None:
-    import matplotlib.pyplot as plt
+    plt = pyplot()
 
     data = io.BytesIO()
     try:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cli.figures import pyplot
 from cli.run import add_run_options, pipeline_path, run_session, session_of
 from cli.show import Screen
 from store.errors import RequestError, WorkError
@@ -491,10 +492,7 @@ def _preview(
     opened: Mapping[str, tuple[Any, Any, str]], options: argparse.Namespace, store: Store, screen: Screen
 ) -> int:
     """Shape under one light at a time, over azimuth and elevation."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
+    plt = pyplot()
     import numpy as np
 
     from stages.colour import encode_srgb

@@ -25,6 +25,7 @@ from dag.fingerprint import block_key, stage_parts
 from dag.plan import NodePlan, Piece, Plan, State, look_up
 from dag.publish import NodeResult, publish_results
 from dag.stage import Stage, StageError
+from hw.compiled import offer
 from store.chunks import ChunkRef
 from store.digest import digest_value
 from store.errors import DamagedChunkError, RequestError, WorkError
@@ -116,6 +117,7 @@ def execute(task: BlockTask, *above: BlockRecord) -> BlockRecord:
     if known is not None and all(store.chunks.has(ref) for ref in known.chunks()):
         return known
     began = time.perf_counter()
+    offer(task.store_root)
     stage: Stage = import_module(task.stage_module).STAGE
     _check_code(task, stage)
     try:

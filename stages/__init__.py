@@ -39,6 +39,10 @@ that a stage calls; they count in its key.
 
 from collections.abc import Mapping
 
+from hw.compiled import keep
+
+keep()
+
 TABLE: Mapping[str, str] = {
     "capture": "stages.capture",
     "register": "stages.register",

@@ -4,6 +4,8 @@ errors.py       the two kinds of failure, each with its exit code
 digest.py       content digests of values and of bytes
 sealed.py       small JSON files that tell when they have changed
 files.py        atomic writes, links, sizes for humans
+intake.py       files that a user names: regular, of a sane size, read whole
+picture.py      integer pictures: PNG and TIFF, whole or refused
 document.py     YAML with line and column, checked against a model
 root.py         the folder itself, and the one object that joins the rest
 chunks.py       stored chunks, addressed by content

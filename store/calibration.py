@@ -24,7 +24,8 @@ from store.chunks import ChunkRef, Chunks
 from store.digest import SHORT, digest_value
 from store.errors import DamagedFileError, RequestError
 from store.files import renewed, replace
-from store.picture import PictureError, decode, read_file
+from store.intake import FileError, read_regular
+from store.picture import LARGEST_FILE, PictureError, decode
 from store.root import Store
 from store.sealed import seal, unseal
 
@@ -244,10 +245,10 @@ def read_item(path: Path, chunks: Chunks, *, kind: str | None = None) -> tuple[I
     for camera, name in dict(values.pop("images", {})).items():
         file = path.parent / name
         try:
-            pixels = decode(read_file(file)[0])
+            pixels = decode(read_regular(file, LARGEST_FILE))
             if pixels.ndim != 2:
                 raise PictureError(f"has {pixels.shape[2]} channels; one is expected")
-        except PictureError as error:
+        except FileError as error:
             problems.append(f"{source.at(('images', camera))}: {file} {error}")
             continue
         pictures[camera] = StoredPicture(chunks.put(pixels), pixels.dtype.str, pixels.shape)

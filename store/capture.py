@@ -163,22 +163,46 @@ def _conflicts(capture: CaptureFile) -> Iterator[str]:
             yield f"intensities: {name} must be positive"
 
 
+_PART = re.compile(
+    r"\{\{|\}\}|[^{}]+|\{(?P<name>\w*)(?P<rest>[^{}]*)\}|(?P<stray>[{}])",
+)
+_NUMBER = {"frame": r"0?[0-9]{0,2}d?", "band": r"0?[0-9]{0,2}(d?|(\.[0-9])?[fg])"}
+"""What may stand behind the colon: a width of up to two digits, and how a number is written."""
+_PARTS = ("frame", "illumination", "band", "camera")
+
+
 def _template_problems(template: str) -> Iterator[str]:
-    try:
-        names = [name for _, name, _, _ in string.Formatter().parse(template) if name is not None]
-        template.format(frame=0, illumination="C", band=0, camera="CAM0")
-    except (ValueError, KeyError, IndexError) as error:
-        known = ("frame", "illumination", "band", "camera")
-        if isinstance(error, KeyError):
-            word = str(error.args[0])
-            yield f"files: '{template}' has the unknown part {{{word}}}{document.nearest(word, known)}"
-        else:
-            yield f"files: '{template}' is not a template ({error}); known parts are {', '.join(known)}"
-        return
-    if "" in names:
-        yield f"files: '{template}' has an empty {{}}; known parts are frame, illumination, band, camera"
+    """What is wrong with a template. It may hold its four parts and widths, and nothing that asks for more."""
+    known = f"known parts are {', '.join(_PARTS)}"
+    for part in _PART.finditer(template):
+        name, rest = part["name"], part["rest"]
+        if part["stray"]:
+            yield f"files: '{template}' is not a template (a single '{part['stray']}'); {known}"
+        elif name == "" and not rest:
+            yield f"files: '{template}' has an empty {{}}; {known}"
+        elif name is not None and name not in _PARTS:
+            yield f"files: '{template}' has the unknown part {{{name or rest}}}{document.nearest(name, _PARTS)}"
+        elif rest and not re.fullmatch(":" + _NUMBER.get(name or "", ""), rest):
+            width = f"a width of up to two digits may stand there, as in {{{name}:04d}}"
+            allowed = width if name in _NUMBER else f"{{{name}}} stands alone"
+            yield f"files: '{template}' has {{{name}{rest}}}; {allowed}"
     if Path(template).is_absolute() or ".." in Path(template).parts:
         yield f"files: '{template}' leaves the capture folder"
+
+
+LONGEST_NAME = 255
+"""Bytes of a file's or a folder's name, on every file system in use."""
+
+
+def _name_problems(name: str) -> Iterator[str]:
+    """What is wrong with a picture's name, its parts filled in."""
+    path = Path(name)
+    longest = max((len(os.fsencode(part)) for part in path.parts), default=0)
+    if longest > LONGEST_NAME:
+        shown = f"{name[:40]}...{name[-20:]}"
+        yield f"files: '{shown}' has {longest} bytes; a file's name has at most {LONGEST_NAME}"
+    elif path.is_absolute() or ".." in path.parts:
+        yield f"files: '{name}' leaves the capture folder"
 
 
 def _band_label(band: float) -> float | int:
@@ -218,7 +242,7 @@ class Capture:
         """Every file that the description promises, in capture order.
 
         Raises:
-            RequestError: two pictures would come from one file.
+            RequestError: two pictures would come from one file, or one from a file that cannot be.
         """
         d = self.description
         groups = [tuple(range(3))] if d.colour == "rgb" else [(i,) for i in range(len(d.bands_nm))]
@@ -229,14 +253,21 @@ class Capture:
             template = frame.file or d.files or ""
             for bands in groups:
                 for polarisation in self.polarisations:
-                    name = template.format(
-                        frame=i,
-                        illumination=frame.illumination,
-                        band=_band_label(d.bands_nm[bands[0]]),
-                        camera=d.cameras[polarisation],
-                    )
-                    path = self.folder / name
                     label = f"frame {i} ({frame.illumination}), band {d.bands_nm[bands[0]]:g}, {polarisation}"
+                    try:
+                        name = template.format(
+                            frame=i,
+                            illumination=frame.illumination,
+                            band=_band_label(d.bands_nm[bands[0]]),
+                            camera=d.cameras[polarisation],
+                        )
+                    except ValueError:
+                        problems.append(
+                            f"files: '{template}' writes bands as whole numbers; {d.bands_nm[bands[0]]:g} is none"
+                        )
+                        continue
+                    problems += [f"{problem}, for {label}" for problem in _name_problems(name)]
+                    path = self.folder / name
                     if path in seen:
                         problems.append(f"{path} would be both {seen[path]} and {label}")
                     seen[path] = label
@@ -249,11 +280,14 @@ class Capture:
         known = {picture.path for picture in self.pictures()}
         if self.description.mask:
             known.add(self.folder / self.description.mask)
-        return sorted(
-            path
-            for path in self.folder.iterdir()
-            if path.is_file() and path.suffix.lower() in EXTENSIONS and path not in known
-        )
+        try:
+            return sorted(
+                path
+                for path in self.folder.iterdir()
+                if path.suffix.lower() in EXTENSIONS and path not in known and path.is_file()
+            )
+        except OSError as error:
+            raise RequestError(f"{self.folder} cannot be listed ({error.strerror})") from None
 
     def planes(self, data: bytes) -> Picture:
         """Decode one of the capture's files into (bands of the file, y, x), uint16, linear.
@@ -301,7 +335,7 @@ def read_captures(folders: Sequence[Path]) -> Capture:
     parts = 0
     for capture in captures:
         d = capture.description
-        inside = capture.folder.relative_to(root).as_posix()
+        inside = _as_text(capture.folder.relative_to(root).as_posix())
         for i, frame in enumerate(d.frames):
             name = _with_band_and_camera(frame.file or d.files or "", frame=i, illumination=frame.illumination)
             frames.append(frame.model_copy(update={"file": f"{inside}/{name}", "part": parts + frame.part}))
@@ -322,11 +356,16 @@ def read_captures(folders: Sequence[Path]) -> Capture:
     return Capture(root, together)
 
 
+def _as_text(text: str) -> str:
+    """A text as it stands in a template."""
+    return text.replace("{", "{{").replace("}", "}}")
+
+
 def _with_band_and_camera(template: str, **known: Any) -> str:
     """A template with the parts that are known filled in, and the others left."""
     out = []
     for text, name, spec, _ in string.Formatter().parse(template):
-        out.append(text.replace("{", "{{").replace("}", "}}"))
+        out.append(_as_text(text))
         if name in known:
             out.append(format(known[name], spec or ""))
         elif name is not None:

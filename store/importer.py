@@ -4,6 +4,7 @@ Everything is read and checked first, pictures into staging; then the store chan
 changed are not decoded again.
 """
 
+import io
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -19,11 +20,14 @@ from store.capture import SESSION_NAME, Capture, PictureFile, read_captures
 from store.chunks import ChunkRef, Chunks, Staging
 from store.digest import digest_bytes
 from store.errors import RequestError, raise_all
-from store.picture import Picture, PictureError, decode, read_file
+from store.intake import FileError, open_regular, read_regular
+from store.picture import LARGEST_FILE, Declared, Picture, declared, decode
 from store.root import Store
 from store.sessions import Session, SessionChangedError, commit_session, present_session, show_raw
 
 Progress = Callable[[Iterable[Any], int, str], Iterable[Any]]
+_MEMORY = 1500 << 20
+"""Bytes that pictures may take while they are decoded, each three times its size; large ones come fewer at once."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +46,6 @@ class _ReadPicture:
     file: PictureFile
     digest: str
     refs: tuple[ChunkRef, ...] | None
-    shape: tuple[int, int] | None
     problem: str | None = None
 
 
@@ -83,8 +86,7 @@ def _import(
             "bound to it by hand have to be bound again"
         )
 
-    read = _read_pictures(capture, pictures, store, staging, before, progress)
-    shape = _one_shape(read)
+    read, shape = _read_pictures(capture, pictures, store, staging, before, progress)
     mask, mask_file = _read_mask(capture, shape, staging)
     items: dict[str, tuple[Item, bytes]] = {}
     if capture.description.calibration is not None:
@@ -202,7 +204,15 @@ def _read_pictures(
     staging: Staging,
     before: Session | None,
     progress: Progress | None,
-) -> list[_ReadPicture]:
+) -> tuple[list[_ReadPicture], tuple[int, int]]:
+    """Every picture, and the (y, x) that they have in common.
+
+    What the files declare is read first: one that differs from the others, or is larger than any camera's, is
+    refused before it is decoded.
+
+    Raises:
+        RequestError: a picture is wrong; every problem is listed.
+    """
     known: dict[tuple[str, int, str, tuple[int, ...]], tuple[ChunkRef, ...]] = {}
     same_decoding = before is not None and all(
         before.facts[key] == _facts(capture)[key] for key in ("bits", "encoding", "colour")
@@ -214,38 +224,57 @@ def _read_pictures(
             if all(store.chunks.intact(ref) for ref in refs):
                 known[file["digest"], file["frame"], file["polarisation"], tuple(file["bands"])] = refs
 
-    def read(picture: PictureFile) -> _ReadPicture:
+    with ThreadPoolExecutor(max_workers=len(os.sched_getaffinity(0))) as pool:
+        promised = list(pool.map(_declared, pictures))
+    found = [one for one in promised if isinstance(one, Declared)]
+    shapes = [one.shape for one in found]
+    usual = max(set(shapes), key=shapes.count, default=(0, 0))
+
+    def read(picture: PictureFile, promise: Declared | str) -> _ReadPicture:
+        if isinstance(promise, str):
+            return _ReadPicture(picture, "", None, f"{picture.path} {promise}")
+        if promise.shape != usual:
+            return _ReadPicture(
+                picture,
+                "",
+                None,
+                f"{picture.path} is {promise.width} x {promise.height}; the other pictures are "
+                f"{usual[1]} x {usual[0]}",
+            )
         try:
-            data, _ = read_file(picture.path)
+            data = read_regular(picture.path, LARGEST_FILE)
             digest = digest_bytes(data)
             refs = known.get((digest, picture.frame, picture.polarisation, picture.bands))
-            if refs is not None and before is not None:
-                return _ReadPicture(picture, digest, refs, before.shape)
+            if refs is not None:
+                return _ReadPicture(picture, digest, refs)
             planes = capture.planes(data)
-        except PictureError as error:
-            return _ReadPicture(picture, "", None, None, f"{picture.path} {error}")
-        refs = tuple(staging.put(np.ascontiguousarray(plane)[None, None, None]) for plane in planes)
-        return _ReadPicture(picture, digest, refs, (planes.shape[1], planes.shape[2]))
+            if planes.shape[1:] != usual:
+                raise FileError("changed while it was read; wait until it is complete")
+        except FileError as error:
+            return _ReadPicture(picture, "", None, f"{picture.path} {error}")
+        return _ReadPicture(
+            picture, digest, tuple(staging.put(np.ascontiguousarray(plane)[None, None, None]) for plane in planes)
+        )
 
-    with ThreadPoolExecutor(max_workers=len(os.sched_getaffinity(0))) as pool:
-        results = pool.map(read, pictures)
-        return list(progress(results, len(pictures), "pictures") if progress else results)
-
-
-def _one_shape(read: list[_ReadPicture]) -> tuple[int, int]:
-    shapes = [result.shape for result in read if result.shape is not None]
-    problems = [result.problem for result in read if result.problem is not None]
-    if shapes:
-        usual = max(set(shapes), key=shapes.count)
-        problems += [
-            f"{r.file.path} is {r.shape[1]} x {r.shape[0]}; the other pictures are {usual[1]} x {usual[0]}"
-            for r in read
-            if r.shape is not None and r.shape != usual
-        ]
+    at_once = _MEMORY // max([3 * one.size for one in found], default=1)
+    workers = max(1, min(at_once, len(os.sched_getaffinity(0))))
+    with ThreadPoolExecutor(max_workers=workers) as pool:
+        results = pool.map(read, pictures, promised)
+        read_all = list(progress(results, len(pictures), "pictures") if progress else results)
+    problems = [result.problem for result in read_all if result.problem is not None]
     if len(problems) > 20:
         problems[20:] = [f"... and {len(problems) - 20} more pictures like these"]
     raise_all(problems)
-    return usual
+    return read_all, usual
+
+
+def _declared(picture: PictureFile) -> Declared | str:
+    """What a picture says of itself, or what is wrong with it."""
+    try:
+        with open_regular(picture.path) as file:
+            return declared(file)
+    except FileError as error:
+        return str(error)
 
 
 def _read_mask(capture: Capture, shape: tuple[int, int], chunks: Chunks) -> tuple[StoredPicture | None, Any]:
@@ -253,17 +282,19 @@ def _read_mask(capture: Capture, shape: tuple[int, int], chunks: Chunks) -> tupl
         return None, None
     path = capture.folder / capture.description.mask
     try:
-        data, _ = read_file(path)
-        picture: Picture = decode(data)
-    except PictureError as error:
+        data = read_regular(path, LARGEST_FILE)
+        promised = declared(io.BytesIO(data))
+        if promised.shape == shape:
+            picture: Picture = decode(data)
+    except FileError as error:
         raise RequestError(f"{path} {error}; capture.yaml names it as the mask") from None
-    if picture.ndim == 3:
-        picture = picture.max(axis=2)
-    if picture.shape != shape:
+    if promised.shape != shape:
         raise RequestError(
-            f"{path} is {picture.shape[1]} x {picture.shape[0]}; the mask must be as large as the pictures, "
+            f"{path} is {promised.width} x {promised.height}; the mask must be as large as the pictures, "
             f"{shape[1]} x {shape[0]}"
         )
+    if picture.ndim == 3:
+        picture = picture.max(axis=2)
     mask = np.ascontiguousarray(picture > 0)
     stored = StoredPicture(chunks.put(mask), mask.dtype.str, mask.shape)
     return stored, {"name": capture.description.mask, "digest": digest_bytes(data)}

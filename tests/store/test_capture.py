@@ -36,6 +36,16 @@ def edit(folder: Path, change: Callable[[dict[str, Any]], None]) -> None:
         (lambda d: d.update(colour="rgb"), "rgb needs three bands_nm"),
         (lambda d: d.update(files="{frame}_{light}.png"), "unknown part {light}"),
         (lambda d: d.update(files="../{frame}.png"), "leaves the capture folder"),
+        (lambda d: d.update(files="{frame:0999999999d}.png"), "a width of up to two digits may stand there"),
+        (lambda d: d.update(files="{frame:0{band}d}.png"), "a single '{'"),
+        (lambda d: d.update(files="{frame!r:>9}.png"), "has {frame!r:>9}"),
+        (lambda d: d.update(files="{frame.__class__}.png"), "has {frame.__class__}"),
+        (lambda d: d.update(files="{camera[0]}.png"), "{camera} stands alone"),
+        (lambda d: d.update(files="{}.png"), "has an empty {}"),
+        (lambda d: d.update(files="{frame.png"), "a single '{'"),
+        (lambda d: d.update(files="{frame:04d}" + "a" * 252), "has 256 bytes; a file's name has at most 255"),
+        (lambda d: d.update(files="{frame}{camera}", cameras={"cross": "/../../x"}), "leaves the capture folder"),
+        (lambda d: d.update(files="{frame}{band:03d}", bands_nm=[407.5]), "writes bands as whole numbers; 407.5"),
         (lambda d: d.update(files="same.png"), "would be both"),
         (lambda d: d.update(intensities={"L09": 2.0}), "L09 is no illumination of this capture"),
         (lambda d: d.update(intensities={"C": [1.0, 2.0]}), "C has 2 numbers for 1 bands"),
@@ -170,6 +180,31 @@ def test_srgb_is_decoded_by_the_standard_curve() -> None:
     # IEC 61966-2-1: code 188 of 255 is 0.5029 of full scale, 10 lies on the straight part
     linear = linear_from_srgb(np.array([[0, 10, 188, 255]], np.uint8))
     np.testing.assert_allclose(linear / 65535, [[0, 10 / 255 / 12.92, 0.5029, 1]], atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("template", "name"),
+    [
+        ("{frame:04d}_{illumination}_{band}nm_{camera}.png", "0000_C_576nm_CAM1.png"),
+        ("{frame:03}-{band:04d}.png", "000-0576.png"),
+        ("{{{frame}}}/{band:.1f}{band:g}.tif", "{0}/576.0576.tif"),
+    ],
+)
+def test_a_template_holds_its_parts_with_widths(tmp_path: Path, template: str, name: str) -> None:
+    folder = one_camera_capture(tmp_path / "c", ["C"])
+    edit(folder, lambda d: d.update(files=template, bands_nm=[576]))
+    capture = read_capture(folder)
+    assert [picture.path for picture in capture.pictures()] == [capture.folder / name]
+
+
+def test_a_picture_of_another_size_is_refused_before_it_is_decoded(tmp_path: Path, store: Store) -> None:
+    folder = one_camera_capture(tmp_path / "c", ["C", "X", "Y"])
+    victim = folder / "0001_X_0nm_CAM1.png"
+    cv2.imwrite(str(victim), np.zeros((9000, 9), np.uint16))
+    victim.write_bytes(victim.read_bytes()[:-40])  # what decoding would complain of
+    with pytest.raises(RequestError) as caught:
+        import_capture(folder, store)
+    assert str(caught.value) == f"{victim} is 9 x 9000; the other pictures are 16 x 12"
 
 
 def test_extra_pictures_are_a_warning_and_other_files_nobodys_business(tmp_path: Path, store: Store) -> None:
