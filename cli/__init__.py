@@ -2,6 +2,7 @@
 
     main.py       the parser, the errors and the exit codes
     show.py       what a person sees: tables, progress, warnings
+    values.py     numbers given as options
 
     sessions.py   import, sessions, calibration
     run.py        run, normals, performance

@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 from cli.film import colours, font
 from cli.show import Screen
+from cli.values import whole
 from store.errors import RequestError, WorkError
 from store.root import Store
 
@@ -53,7 +54,7 @@ def configure(commands: Any) -> None:
     """Add the command of this file."""
     alignment = commands.add_parser("alignment", help="draw how well the pictures of a tracking frame are aligned")
     alignment.add_argument("--session", required=True, metavar="S", help="the session")
-    alignment.add_argument("--tracking", type=int, metavar="N", help="the tracking frame (default: the first)")
+    alignment.add_argument("--tracking", type=whole, metavar="N", help="the tracking frame (default: the first)")
     alignment.add_argument(
         "--at",
         action="append",

@@ -11,6 +11,7 @@ from functools import partial
 from typing import Any
 
 from cli.show import Screen
+from cli.values import whole
 from store.errors import RequestError
 from store.files import link_or_copy
 from store.root import Store
@@ -42,7 +43,7 @@ def configure(commands: Any) -> None:
         help=f"wavelengths; 0 for unfiltered light (default: {BANDS}; {BROADBAND} for a performance)",
     )
     demo.add_argument(
-        "--seed", type=int, default=1, metavar="N", help="another head, skin, rig and noise; 0: the mean"
+        "--seed", type=whole, default=1, metavar="N", help="another head, skin, rig and noise; 0: the mean"
     )
     demo.add_argument(
         "--target", choices=TARGETS, help="capture a calibration target instead: a folder for `calibrate`"
@@ -54,7 +55,7 @@ def configure(commands: Any) -> None:
         help="a still head, or a performance of a moving one at 60 pictures a second, cross camera only",
     )
     demo.add_argument(
-        "--tracking", type=int, metavar="N", help=f"tracking frames of a performance (default: {TRACKING})"
+        "--tracking", type=whole, metavar="N", help=f"tracking frames of a performance (default: {TRACKING})"
     )
     demo.add_argument(
         "--motion",
@@ -67,12 +68,12 @@ def configure(commands: Any) -> None:
 def handle_demo(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage demo."""
     store = Store(options.store)
-    size = re.fullmatch(r"([0-9]+)x([0-9]+)", options.size)
+    size = re.fullmatch(r"([0-9]{1,5})x([0-9]{1,5})", options.size)
     if not size:
         raise RequestError(f"--size {options.size}: expected WIDTHxHEIGHT, such as 406x309")
     performance = options.sequence != "static"
     wavelengths = options.bands or (BROADBAND if performance else BANDS)
-    if not re.fullmatch(r"[0-9]+(,[0-9]+)*", wavelengths):
+    if not re.fullmatch(r"[0-9]{1,5}(,[0-9]{1,5})*", wavelengths):
         raise RequestError(f"--bands {wavelengths}: expected wavelengths in nm, such as 434,576")
     bands = tuple(int(band) for band in wavelengths.split(","))
     if performance and options.target:
@@ -80,13 +81,10 @@ def handle_demo(options: argparse.Namespace, screen: Screen) -> int:
     for option, value in (("--tracking", options.tracking), ("--motion", options.motion)):
         if value is not None and not performance:
             raise RequestError(f"{option} {value}: only a performance has it; add --sequence wilson or minimal")
-    from store.capture import SESSION_NAME
+    from store.capture import NAME_RULE, SESSION_NAME
 
     if not SESSION_NAME.fullmatch(options.session):
-        raise RequestError(
-            f"--session '{options.session}': a name begins with a letter or a digit and goes on with those, "
-            "'.', '_' and '-'"
-        )
+        raise RequestError(f"--session '{options.session}': a name has {NAME_RULE}")
     if len(set(bands)) < len(bands):
         raise RequestError(f"--bands {wavelengths}: a wavelength stands twice")
     if options.target:

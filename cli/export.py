@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from cli import film, mesh
 from cli.show import Screen
+from cli.values import number, whole
 from store.errors import RequestError, WorkError
 from store.root import Store
 
@@ -38,7 +39,7 @@ def configure(commands: Any) -> None:
     export.add_argument("--convention", choices=tuple(CONVENTIONS), default="opengl", help="where green points")
     export.add_argument(
         "--fps",
-        type=float,
+        type=number,
         metavar="N",
         help=f"frames a second of a film (default: the session's rate / {film.SLOWER}, so that one sees what "
         f"happens, and at least {film.SLOWEST_FPS:g})",
@@ -46,7 +47,9 @@ def configure(commands: Any) -> None:
     export.add_argument(
         "--pipeline", type=Path, metavar="FILE", help="default: ./pipeline.yaml, or the packaged one"
     )
-    export.add_argument("--every", type=int, metavar="N", help="a mesh's vertices are every Nth pixel (default: 1)")
+    export.add_argument(
+        "--every", type=whole, metavar="N", help="a mesh's vertices are every Nth pixel (default: 1)"
+    )
     export.add_argument(
         "--normal-map", choices=mesh.SPACES, help="of a mesh: tangent (the default for glb) or object space (obj)"
     )

@@ -9,7 +9,7 @@ from store.errors import DamagedChunkError, DamagedGroupError, RequestError, Wor
 from store.files import human_size
 from store.root import Store
 
-_GRACE = re.compile(r"([0-9]+)([smhd]?)")
+_GRACE = re.compile(r"([0-9]{1,6})([smhd]?)")
 _SECONDS = {"s": 1, "m": 60, "h": 3600, "d": 86400, "": 1}
 
 

@@ -111,7 +111,10 @@ def handle_graph(options: argparse.Namespace, screen: Screen) -> int:
         for upper in node.above:
             below[upper].append(name)
 
-    def draw(name: str, prefix: str, last: bool, root: bool) -> None:
+    # a stack, not a recursion: a chain may be of any length
+    waiting = [(name, "", True, True) for name, node in reversed(list(graph.nodes.items())) if not node.above]
+    while waiting:
+        name, prefix, last, root = waiting.pop()
         node = graph.nodes[name]
         branch = "" if root else ("└─ " if last else "├─ ")
         different = {k: v for k, v in node.params if v != type(node.params).model_fields[k].default}
@@ -121,12 +124,8 @@ def handle_graph(options: argparse.Namespace, screen: Screen) -> int:
         when = " (when asked)" if node.asked else ""
         screen.say(f"{prefix}{branch}{name}: {node.stage.summary}{shown}{more}{when}")
         children = [child for child in below[name] if graph.nodes[child].above[0] == name]
-        for i, child in enumerate(children):
-            draw(child, prefix + ("" if root else "   " if last else "│  "), i == len(children) - 1, False)
-
-    for name, node in graph.nodes.items():
-        if not node.above:
-            draw(name, "", True, True)
+        deeper = prefix + ("" if root else "   " if last else "│  ")
+        waiting += reversed([(child, deeper, child == children[-1], False) for child in children])
     screen.document(
         {
             "pipeline": graph.source,

@@ -12,6 +12,8 @@ for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUM
     os.environ.setdefault(_name, "1")
 
 import argparse  # noqa: E402
+import contextlib  # noqa: E402
+import errno  # noqa: E402
 import re  # noqa: E402
 from collections.abc import Sequence  # noqa: E402
 from importlib import import_module  # noqa: E402
@@ -19,7 +21,13 @@ from typing import Any, NoReturn  # noqa: E402
 
 from cli.show import Screen  # noqa: E402
 from hw.compiled import folder, offer  # noqa: E402
-from store.errors import DamagedChunkError, DamagedGroupError, LightstageError, RequestError  # noqa: E402
+from store.errors import (  # noqa: E402
+    DamagedChunkError,
+    DamagedGroupError,
+    LightstageError,
+    RequestError,
+    WorkError,
+)
 
 VERSION = "0.1.0"
 FAMILIES = (
@@ -97,26 +105,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     screen = Screen(as_json="--json" in words)
     try:
-        options = build_parser().parse_args(words)
-        if options.command is None:
-            if screen.as_json:
-                raise RequestError("a command is missing (`lightstage --help` lists them)")
-            build_parser().print_help()
-            return 2
-        offer(options.store)
-        try:
-            code = int(options.handler(options, screen))
-        except (DamagedChunkError, DamagedGroupError) as damage:
-            from cli.keep import set_aside
-
-            set_aside(damage, options, screen)
-            # begun again; what was computed before is there
-            code = int(options.handler(options, screen))
-        if "numba" in sys.modules and folder() is None:
-            screen.warn(
-                "compiled code is not kept, because neither the user's cache folder nor the store can be written, "
-                "and every command compiles anew; set XDG_CACHE_HOME to a folder that can be written"
-            )
+        code = _command(words, screen)
+        screen.flush()
         return code
     except LightstageError as error:
         return _failed(error, error.exit_code, screen, words)
@@ -124,8 +114,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         told = RequestError("stopped; what was finished is kept, and the next run goes on from there")
         return _failed(told, 130, screen, words)
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        screen.close()
         return 1
+    except OSError as error:
+        return _failed(_as_sentence(error), 1, screen, words)
+    except MemoryError as error:
+        told = RequestError(
+            f"there is not enough memory for this ({error or 'none left'}); what was finished is kept"
+        )
+        return _failed(told, 1, screen, words)
     except Exception as error:
         if "--debug" in words:
             raise
@@ -134,13 +131,70 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _failed(RequestError(message), 1, screen, words)
 
 
+def _command(words: Sequence[str], screen: Screen) -> int:
+    try:
+        options = build_parser().parse_args(words)
+    except SystemExit as done:  # --help and --version have said what was asked for
+        return int(done.code or 0)
+    if options.command is None:
+        if screen.as_json:
+            raise RequestError("a command is missing (`lightstage --help` lists them)")
+        build_parser().print_help()
+        return 2
+    offer(options.store)
+    try:
+        code = int(options.handler(options, screen))
+    except (DamagedChunkError, DamagedGroupError) as damage:
+        from cli.keep import set_aside
+
+        set_aside(damage, options, screen)
+        # begun again; what was computed before is there
+        code = int(options.handler(options, screen))
+    if "numba" in sys.modules and folder() is None:
+        screen.warn(
+            "compiled code is not kept, because neither the user's cache folder nor the store can be written, "
+            "and every command compiles anew; set XDG_CACHE_HOME to a folder that can be written"
+        )
+    return code
+
+
+_REMEDIES = {
+    errno.ENOSPC: "; free some space and run again",
+    errno.EDQUOT: "; free some space and run again",
+    errno.EFBIG: "; the file system, or `ulimit -f`, allows no file of that size",
+    errno.EMFILE: "; raise the limit with `ulimit -n`, and run again",
+    errno.ENFILE: "; close other programs, and run again",
+    errno.ELOOP: "; a link there leads back to itself",
+}
+
+
+def _as_sentence(error: OSError) -> WorkError:
+    """What the operating system refused: which file, why, and what helps where that is known."""
+    try:
+        os.getcwd()
+    except OSError:
+        return WorkError("the working folder is gone, or may not be entered; change to one that is there")
+    files = " to ".join(
+        os.fsdecode(name) for name in (error.filename, error.filename2) if isinstance(name, str | bytes)
+    )
+    reason = error.strerror or str(error) or type(error).__name__
+    return WorkError(f"{files + ': ' if files else ''}{reason}{_REMEDIES.get(error.errno or 0, '')}")
+
+
 def _failed(error: LightstageError, code: int, screen: Screen, words: Sequence[str]) -> int:
     if "--debug" in words:
         import traceback
 
         traceback.print_exc()
-    print(f"lightstage: {error}", file=sys.stderr)
-    screen.document({"error": str(error), "exit_code": code})
+    # a name of thousands of characters is nothing to read
+    sentence = re.sub(r"\S{500,}", lambda word: f"{word[0][:100]}...{word[0][-20:]}", str(error))
+    with contextlib.suppress(OSError):
+        print(f"lightstage: {sentence}", file=sys.stderr)
+    try:
+        screen.document({"error": sentence, "exit_code": code})
+        screen.flush()
+    except (OSError, WorkError):
+        screen.close()
     return code
 
 

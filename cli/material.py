@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 from cli.deliver import Delivery
 from cli.run import add_run_options, override_items, paths_of, run_session, session_of
 from cli.show import Screen
+from cli.values import whole
 from store.errors import RequestError
 from store.root import Store
 
@@ -45,7 +46,7 @@ def configure(commands: Any) -> None:
     material.add_argument(
         "--format", default="exr,glb", metavar="exr,glb", help="one or both, with a comma (default: both)"
     )
-    material.add_argument("--tracking", type=int, metavar="N", help="the tracking frame (default: the first)")
+    material.add_argument("--tracking", type=whole, metavar="N", help="the tracking frame (default: the first)")
     add_run_options(material)
     material.set_defaults(handler=handle_material, computes=True)
 

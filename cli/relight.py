@@ -23,6 +23,7 @@ from cli.deliver import Delivery
 from cli.material import FRAME, Material, nodes_of, read_material
 from cli.run import add_run_options, override_items, paths_of, run_session, session_of
 from cli.show import Screen
+from cli.values import number, whole
 from store.errors import RequestError
 from store.root import Store
 
@@ -40,6 +41,8 @@ LIGHTS = 256
 _BRIGHT, _SHOWN = 99.5, 0.9
 """The exposure where none is given: this percentile of the brightest picture shows as so much of white."""
 _FPS = 12.0
+_STRONGEST = 1e6
+"""Of a light, and of an exposure."""
 _LUMINANCE = (0.2126, 0.7152, 0.0722)
 """Of linear Rec. 709."""
 _THUMB_PX, _GAP, _TITLE = 320, 8, 24
@@ -68,21 +71,23 @@ def configure(commands: Any) -> None:
     relight.add_argument("--environment", type=Path, metavar="MAP", help="a latitude-longitude map, .hdr or .exr")
     relight.add_argument(
         "--rotate",
-        type=float,
+        type=number,
         metavar="DEG",
         help="turn the environment: at 90 what was towards the camera is at the picture's right",
     )
-    relight.add_argument("--turn", type=int, metavar="N", help=f"a film, {FILM}: the environment turned in N steps")
     relight.add_argument(
-        "--samples", type=int, metavar="N", help=f"lights that stand for an environment (default: {LIGHTS})"
+        "--turn", type=whole, metavar="N", help=f"a film, {FILM}: the environment turned in N steps"
+    )
+    relight.add_argument(
+        "--samples", type=whole, metavar="N", help=f"lights that stand for an environment (default: {LIGHTS})"
     )
     relight.add_argument(
         "--exposure",
-        type=float,
+        type=number,
         metavar="FACTOR",
         help="of the PNG: linear values times this (default: one for all pictures, by the brightest)",
     )
-    relight.add_argument("--tracking", type=int, metavar="N", help="the tracking frame (default: the first)")
+    relight.add_argument("--tracking", type=whole, metavar="N", help="the tracking frame (default: the first)")
     add_run_options(relight)
     relight.set_defaults(handler=handle_relight, computes=True)
 
@@ -196,10 +201,10 @@ def _check(options: argparse.Namespace) -> None:
         raise RequestError(f"--turn {options.turn}: a film has 2 to 1000 steps")
     if options.samples is not None and not 1 <= options.samples <= 10000:
         raise RequestError(f"--samples {options.samples}: 1 to 10000 lights stand for an environment")
-    if options.exposure is not None and not 0 < options.exposure < float("inf"):
-        raise RequestError(f"--exposure {options.exposure:g}: expected a factor above 0, such as 1.5")
-    if options.rotate is not None and not abs(options.rotate) < float("inf"):
-        raise RequestError(f"--rotate {options.rotate:g}: expected degrees, such as 90")
+    if options.exposure is not None and not 0 < options.exposure <= _STRONGEST:
+        raise RequestError(
+            f"--exposure {options.exposure:g}: expected a factor above 0 and up to {_STRONGEST:g}, such as 1.5"
+        )
 
 
 def _light_of(text: str) -> tuple[float, float, float]:
@@ -207,10 +212,10 @@ def _light_of(text: str) -> tuple[float, float, float]:
         azimuth, elevation, strength = (float(part) for part in text.split(","))
     except ValueError:
         raise RequestError(f"--light {text}: expected AZIMUTH,ELEVATION,STRENGTH, such as 45,30,1") from None
-    if not (abs(azimuth) <= 360 and abs(elevation) <= 90 and 0 < strength < float("inf")):
+    if not (abs(azimuth) <= 360 and abs(elevation) <= 90 and 0 < strength <= _STRONGEST):
         raise RequestError(
             f"--light {text}: expected an azimuth of at most 360 degrees, an elevation of at most 90 and "
-            "a strength above 0"
+            f"a strength above 0 and up to {_STRONGEST:g}"
         )
     return azimuth, elevation, strength
 

@@ -2,11 +2,13 @@
 
 import argparse
 import os
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cli.show import RunWatcher, Screen
+from cli.values import whole
 from store.errors import RequestError, WorkError
 from store.files import human_size
 from store.root import Store
@@ -62,7 +64,7 @@ def add_run_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--calibration", action="append", default=[], metavar="KIND=FILE", help="use this item for this run"
     )
-    parser.add_argument("--workers", type=int, metavar="N", help="local processes instead of threads")
+    parser.add_argument("--workers", type=whole, metavar="N", help="local processes instead of threads")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="a running Dask cluster that shares the store")
 
 
@@ -85,7 +87,7 @@ def parse_frames(text: str | None) -> tuple[int, int] | None:
     if text is None:
         return None
     first, colon, last = text.partition(":")
-    digits = first.isascii() and first.isdecimal() and last.isascii() and last.isdecimal()
+    digits = all(re.fullmatch(r"[0-9]{1,9}", part) for part in (first, last))
     if not (colon and digits and int(first) < int(last)):
         raise RequestError(f"--frames {text}: expected A:B with A < B, half-open, such as 0:10")
     return int(first), int(last)
@@ -353,7 +355,7 @@ def session_of(given: str, store: Store, screen: Screen) -> str:
 
     if given in session_names(store):
         return given
-    folder = Path(given).expanduser()
+    folder = Path(os.path.expanduser(given))
     if not folder.is_dir():
         known = ", ".join(session_names(store)) or "none yet"
         raise RequestError(f"'{given}' is neither a session of {store.root} ({known}) nor a capture folder")

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from cli.figures import pyplot
 from cli.show import Screen
+from cli.values import number, whole
 from store.errors import RequestError, WorkError
 
 if TYPE_CHECKING:
@@ -38,7 +39,9 @@ def configure(commands: Any) -> None:
     ):
         make = actions.add_parser(kind, help=text)
         if kind in ("wilson", "minimal"):
-            make.add_argument("--tracking", type=int, default=12, metavar="N", help="tracking frames (default: 12)")
+            make.add_argument(
+                "--tracking", type=whole, default=12, metavar="N", help="tracking frames (default: 12)"
+            )
         if kind == "minimal":
             make.add_argument(
                 "--sets", choices=("pure", "mixed"), default="pure", help="cycle of 36 images, or of 9"
@@ -50,7 +53,7 @@ def configure(commands: Any) -> None:
                 metavar="NM,...",
                 help="wavelengths in the order of the wheel",
             )
-            make.add_argument("--wheel-ms", type=float, metavar="MS", help="one turn of the filter wheel")
+            make.add_argument("--wheel-ms", type=number, metavar="MS", help="one turn of the filter wheel")
         _add_timing(make)
         make.add_argument(
             "--accept-flashing",
@@ -68,15 +71,15 @@ def configure(commands: Any) -> None:
     _add_timing(check)
     check.set_defaults(handler=handle_check)
     count = actions.add_parser("count", help="images needed against tracking frames")
-    count.add_argument("--upto", type=int, default=12, metavar="N", help="tracking frames (default: 12)")
+    count.add_argument("--upto", type=whole, default=12, metavar="N", help="tracking frames (default: 12)")
     count.add_argument("--plot", type=Path, metavar="FILE.png", help="draw it as well")
     count.set_defaults(handler=handle_count)
 
 
 def _add_timing(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--exposure-ms", type=float, metavar="MS", help="of one picture")
-    parser.add_argument("--setup-ms", type=float, metavar="MS", help="to set up the lights (default: 0)")
-    parser.add_argument("--readout-ms", type=float, metavar="MS", help="to read out the camera (default: 0)")
+    parser.add_argument("--exposure-ms", type=number, metavar="MS", help="of one picture")
+    parser.add_argument("--setup-ms", type=number, metavar="MS", help="to set up the lights (default: 0)")
+    parser.add_argument("--readout-ms", type=number, metavar="MS", help="to read out the camera (default: 0)")
     parser.add_argument(
         "--overlap", action="store_true", help="the camera reads out while the next lights are set up"
     )
@@ -203,7 +206,7 @@ def _rig_errors() -> Iterator[None]:
 
 
 def _bands(text: str) -> tuple[int, ...]:
-    if not re.fullmatch(r"[0-9]+(,[0-9]+)*", text):
+    if not re.fullmatch(r"[0-9]{1,5}(,[0-9]{1,5})*", text):
         raise RequestError(f"--bands {text}: expected wavelengths in nm, such as 434,576")
     return tuple(int(band) for band in text.split(","))
 
@@ -366,8 +369,8 @@ def _read(words: Sequence[str]) -> tuple[tuple[str, ...], float | None]:
     from store import document
     from store.capture import Frame
 
-    path = Path(words[0]).expanduser()
-    if len(words) > 1 or not path.exists() or re.fullmatch(r"C|[XYZ]c?|L[0-9]+|T[0-3]|O", words[0]):
+    path = Path(os.path.expanduser(words[0]))
+    if len(words) > 1 or not path.exists() or re.fullmatch(r"C|[XYZ]c?|L[0-9]{1,6}|T[0-3]|O", words[0]):
         if len(words) == 1 and ("/" in words[0] or words[0].endswith((".yaml", ".yml"))):
             raise RequestError(f"{path} is missing: expected a sequence, a capture.yaml or a capture folder")
         return parse(" ".join(words)), None

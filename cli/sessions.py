@@ -1,6 +1,7 @@
 """import, sessions, calibration: what comes into the store, and what is bound to what."""
 
 import argparse
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -267,7 +268,7 @@ def handle_use(options: argparse.Namespace, screen: Screen) -> int:
 
     store = Store(options.store, create=False)
     session = read_session(options.session, store).name
-    path = Path(options.item).expanduser()
+    path = Path(os.path.expanduser(options.item))
     if path.is_file():
         item, original = read_item(path, store.chunks)
         put_item(item, original, store)

@@ -7,6 +7,7 @@ from typing import Any
 from cli import mesh
 from cli.run import add_run_options, paths_of, run_session, session_of
 from cli.show import Screen
+from cli.values import whole
 from store.errors import RequestError
 from store.root import Store
 
@@ -21,7 +22,7 @@ def configure(commands: Any) -> None:
     shape.add_argument("--to", type=Path, metavar="DIR", help="default: pictures/<session>_shape of the store")
     shape.add_argument("--format", choices=mesh.FORMATS, default="glb", help="default: %(default)s")
     shape.add_argument(
-        "--every", type=int, default=1, metavar="N", help="vertices are every Nth pixel (default: 1)"
+        "--every", type=whole, default=1, metavar="N", help="vertices are every Nth pixel (default: 1)"
     )
     shape.add_argument(
         "--normal-map", choices=mesh.SPACES, help="tangent (the default for glb) or object space (obj)"

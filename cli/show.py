@@ -1,22 +1,50 @@
 """What a person sees: tables, progress bars, warnings. With --json only the document goes to stdout."""
 
+import contextlib
 import json
+import os
 import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
+from store.errors import WorkError
+
 
 class Screen:
-    """Where a command says things."""
+    """Where a command says things.
+
+    A terminal that has no letter for a character gets its number (`\\xe4`). Output that cannot be written, to a
+    full disk for instance, fails the command; output that nobody reads any more ends it.
+    """
 
     def __init__(self, *, as_json: bool) -> None:
         self.as_json = as_json
         self._live: Any = None
+        for stream in (sys.stdout, sys.stderr):
+            if getattr(stream, "errors", None) == "strict" and hasattr(stream, "reconfigure"):
+                stream.reconfigure(errors="backslashreplace")
 
     def say(self, text: str = "") -> None:
         """A line of the command's answer."""
         if not self.as_json:
+            self._print(text)
+
+    def flush(self) -> None:
+        """Everything that was said is written, or this says that it is not."""
+        with _written():
+            if sys.stdout is not None:
+                sys.stdout.flush()
+
+    def close(self) -> None:
+        """Nothing more is written to stdout, not even what waits there."""
+        with contextlib.suppress(OSError, ValueError, AttributeError):
+            nothing = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nothing, sys.stdout.fileno())
+            os.close(nothing)
+
+    def _print(self, text: str) -> None:
+        with _written():
             print(text)
 
     def warn(self, text: str) -> None:
@@ -29,7 +57,7 @@ class Screen:
     def document(self, value: Mapping[str, Any]) -> None:
         """The answer as JSON, when it was asked for."""
         if self.as_json:
-            print(json.dumps(value, indent=1, default=str))
+            self._print(json.dumps(value, indent=1, default=str))
 
     def table(self, head: Sequence[str], rows: Iterable[Sequence[Any]], *, right: Sequence[int] = ()) -> None:
         """Columns, aligned; those in `right` to the right."""
@@ -42,7 +70,7 @@ class Screen:
                 cell.rjust(width) if i in right else cell.ljust(width)
                 for i, (cell, width) in enumerate(zip(row, widths, strict=True))
             ]
-            print("  ".join(parts).rstrip())
+            self._print("  ".join(parts).rstrip())
 
     @property
     def lively(self) -> bool:
@@ -61,6 +89,16 @@ class Screen:
             for item in items:
                 yield item
                 bars.advance(task)
+
+
+@contextlib.contextmanager
+def _written() -> Iterator[None]:
+    try:
+        yield
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        raise WorkError(f"the answer cannot be written to stdout ({error.strerror})") from None
 
 
 def _bars(unit: str) -> Any:

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 from cli.figures import pyplot
 from cli.run import add_run_options, override_items, paths_of, run_session, session_of
 from cli.show import Screen
+from cli.values import whole
 from store.errors import RequestError, WorkError
 from store.root import Store
 
@@ -51,7 +52,7 @@ def configure(commands: Any) -> None:
         metavar="X,Y",
         help=f"the spectrum of this pixel, up to {MOST_POINTS} times (default: little and much pigment)",
     )
-    skin.add_argument("--tracking", type=int, metavar="N", help="the tracking frame (default: the first)")
+    skin.add_argument("--tracking", type=whole, metavar="N", help="the tracking frame (default: the first)")
     add_run_options(skin)
     skin.set_defaults(handler=handle_skin, computes=True)
 

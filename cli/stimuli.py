@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from cli.figures import pyplot
 from cli.run import add_run_options, pipeline_path, run_session, session_of
 from cli.show import Screen
+from cli.values import number
 from store.errors import RequestError, WorkError
 from store.root import Store
 
@@ -51,10 +52,10 @@ def configure(commands: Any) -> None:
         "--across", choices=("set", "kind"), default="set", help="equal over the whole set, or within each kind"
     )
     stimuli.add_argument("--kinds", default=",".join(KINDS), metavar="KIND,...", help="default: %(default)s")
-    stimuli.add_argument("--mean", type=float, metavar="L", help="mean luminance, 0 to 1 (default: the set's)")
-    stimuli.add_argument("--contrast", type=float, metavar="L", help="its standard deviation (default: the set's)")
+    stimuli.add_argument("--mean", type=number, metavar="L", help="mean luminance, 0 to 1 (default: the set's)")
+    stimuli.add_argument("--contrast", type=number, metavar="L", help="its standard deviation (default: the set's)")
     stimuli.add_argument(
-        "--background", type=float, metavar="L", help="luminance around the oval (default: the mean)"
+        "--background", type=number, metavar="L", help="luminance around the oval (default: the mean)"
     )
     stimuli.add_argument("--grey", action="store_true", help="grey pictures (default: colour)")
     stimuli.add_argument(
@@ -67,13 +68,13 @@ def configure(commands: Any) -> None:
         "--points", type=Path, metavar="FILE", help="YAML: session: {left_eye: [x, y], right_eye: ...}"
     )
     stimuli.add_argument(
-        "--eyes-px", type=float, metavar="N", help="eye distance in the pictures (default: the set's mean)"
+        "--eyes-px", type=number, metavar="N", help="eye distance in the pictures (default: the set's mean)"
     )
     stimuli.add_argument(
-        "--distance-cm", type=float, default=57.0, metavar="CM", help="eye to screen (default: 57)"
+        "--distance-cm", type=number, default=57.0, metavar="CM", help="eye to screen (default: 57)"
     )
     stimuli.add_argument(
-        "--pixels-per-cm", type=float, default=37.8, metavar="N", help="of the screen (default: 37.8)"
+        "--pixels-per-cm", type=number, default=37.8, metavar="N", help="of the screen (default: 37.8)"
     )
     stimuli.add_argument(
         "--morph", nargs=2, metavar=("A", "B"), help="pictures between two of the sessions instead"

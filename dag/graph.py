@@ -14,9 +14,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from dag.stage import Params, Stage
 from store import document
+from store.capture import NAME_RULE
 from store.capture import SESSION_NAME as NAME
 from store.document import Document, nearest
-from store.errors import RequestError, raise_all
+from store.errors import MOST_PROBLEMS, RequestError, raise_all
 
 
 class _NodeEntry(BaseModel):
@@ -32,6 +33,10 @@ class _PipelineFile(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
     stages: dict[str, Any] = Field(min_length=1, description="the nodes by name")
+
+
+_MOST_CIRCLES = 5
+"""That are told of."""
 
 
 @dataclass(frozen=True)
@@ -99,15 +104,17 @@ def load_graph(path: Path, table: Mapping[str, str], *, overrides: Sequence[str]
     changes = _parse_overrides(overrides, names, problems)
     nodes: dict[str, Node] = {}
     for name, entry in entries.items():
+        if len(problems) > MOST_PROBLEMS:
+            raise_all(problems)  # to look for more would take long in a long file
         at = ("stages", name)
         if not NAME.fullmatch(name) or name == "current":
             problems.append(
-                f"{source.at(at)}: '{name}' cannot name a node, because it names a folder: "
-                "letters, digits, dot, dash and underscore, beginning with a letter or digit"
+                f"{source.at(at)}: '{document.short(name)}' cannot name a node, because it names a folder: "
+                f"{NAME_RULE}"
             )
         if entry.uses not in table:
             spot = source.at((*at, "uses"))
-            problems.append(f"{spot}: there is no stage '{entry.uses}'{nearest(entry.uses, table)}")
+            problems.append(f"{spot}: there is no stage '{document.short(entry.uses)}'{nearest(entry.uses, table)}")
             continue
         module = table[entry.uses]
         stage: Stage = importlib.import_module(module).STAGE
@@ -116,7 +123,10 @@ def load_graph(path: Path, table: Mapping[str, str], *, overrides: Sequence[str]
         for upper in above:
             if upper not in names:
                 spot = source.at((*at, "from"))
-                problems.append(f"{spot}: '{name}' reads '{upper}', which is no node here{nearest(upper, names)}")
+                problems.append(
+                    f"{spot}: '{name}' reads '{document.short(upper)}', which is no node here"
+                    f"{nearest(upper, names)}"
+                )
         if len(above) != stage.sources:
             spot = source.at((*at, "from"))
             wants = f"{stage.sources} node(s)" if stage.sources else "none: it brings in the session"
@@ -146,14 +156,14 @@ def _parse_overrides(
         target, equals, value = text.partition("=")
         name, dot, parameter = target.partition(".")
         if not (equals and dot and name and parameter):
-            problems.append(f"--set {text}: expected node.parameter=value")
+            problems.append(f"--set {document.short(text)}: expected node.parameter=value")
         elif name not in entries:
-            problems.append(f"--set {text}: there is no node '{name}'{nearest(name, entries)}")
+            problems.append(f"--set {document.short(text)}: there is no node '{name}'{nearest(name, entries)}")
         else:
             try:
                 changes.setdefault(name, {})[parameter] = document.scalar(value)
             except RequestError as error:
-                problems.append(f"--set {text}: {error}")
+                problems.append(f"--set {document.short(text)}: {error}")
     return changes
 
 
@@ -170,40 +180,42 @@ def _parameters(
     try:
         return stage.params.model_validate(given)
     except ValidationError as error:
-        for problem in error.errors():
-            key = problem["loc"][0] if problem["loc"] else None
-            line = document.sentence(source, stage.params, where, dict(problem))
+        for at, text in document.problems(error, stage.params, given):
+            key = str(at[0]) if at else ""
             if key in changes:
-                line = f"--set {name}.{key}={changes[str(key)]}: " + line.split(": ", 1)[1]
-            elif problem["type"] == "extra_forbidden":
-                line += f" (parameters of {stage.name})"
-            problems.append(line)
+                problems.append(f"--set {name}.{key}={document.short(changes[key])}: {text}")
+            else:
+                of = f" (parameters of {stage.name})" if text.startswith("unknown key") else ""
+                problems.append(f"{source.at((*where, *at))}: {text}{of}")
         return None
 
 
 def _order(source: Document, above: Mapping[str, Sequence[str]], problems: list[str]) -> list[str]:
     """Topological, in the file's order where it is free."""
-    order: list[str] = []
-    state: dict[str, int] = {}
-
-    def visit(name: str, path: tuple[str, ...]) -> None:
-        if state.get(name) == 2 or name not in above:
-            return
-        if state.get(name) == 1:
-            circle = " -> ".join((*path[path.index(name) :], name))
-            problems.append(
-                f"{source.at(('stages', name, 'from'))}: the nodes read each other in a circle: {circle}"
-            )
-            return
-        state[name] = 1
-        for upper in above[name]:
-            visit(upper, (*path, name))
-        state[name] = 2
-        order.append(name)
-
+    order: dict[str, None] = {}
+    circles: list[list[str]] = []
     for name in above:
-        visit(name, ())
-    return order
+        if name in order:
+            continue
+        # from a node upwards, each with those above it that are still to be seen: not by recursion, because a file
+        # may hold a chain of any length
+        path = {name: iter(above[name])}
+        while path:
+            here = next(reversed(path))
+            upper = next(path[here], None)
+            if upper is None:
+                del path[here]
+                order[here] = None
+            elif upper in path:
+                if len(circles) < _MOST_CIRCLES:
+                    circles.append([*list(path)[list(path).index(upper) :], upper])
+            elif upper in above and upper not in order:
+                path[upper] = iter(above[upper])
+    for circle in circles:
+        shown = circle if len(circle) <= 12 else [*circle[:6], f"... ({len(circle) - 12} more)", *circle[-6:]]
+        spot = source.at(("stages", circle[-2], "from"))
+        problems.append(f"{spot}: the nodes read each other in a circle: {' -> '.join(shown)}")
+    return list(order)
 
 
 def _misfits(source: Document, node: Node, nodes: Mapping[str, Node]) -> list[str]:

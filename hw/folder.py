@@ -23,7 +23,7 @@ def appearing(folder: Path, what: dict[str, Any], write: Callable[[Path], None])
     """
     marker = yaml.safe_dump(plain(what), sort_keys=False)
     note = folder / "virtual_rig.yaml"
-    if note.is_file() and note.read_text() == marker:
+    if note.is_file() and note.read_bytes() == marker.encode():
         return folder
     if folder.exists():
         raise RigError(f"{folder} holds something else; remove it, or name another folder")

@@ -45,6 +45,7 @@ from hw.sequence import Exposure
 LOWEST_HZ = 3.0
 HIGHEST_HZ = 30.0
 MIN_SWING = 0.01
+SHORTEST_MS, LONGEST_MS = 0.001, 1e6
 VIEWS = ("total", "front", "back", "left", "right", "up", "down")
 """Total light, and the irradiance of a plane that faces the camera (front), away from it, and so on; left and right
 as in the camera's picture."""
@@ -80,9 +81,12 @@ class Timing:
     def __post_init__(self) -> None:
         for name in ("exposure_ms", "setup_ms", "readout_ms", "wheel_ms"):
             value = getattr(self, name)
-            if not math.isfinite(value) or value < 0 or (name == "exposure_ms" and value == 0):
-                least = "more than 0" if name == "exposure_ms" else "0 or more"
-                raise RigError(f"{name} {value:g}: a number of milliseconds, {least}, is needed")
+            least = SHORTEST_MS if name == "exposure_ms" else 0.0
+            if not least <= value <= LONGEST_MS:  # also for NaN
+                raise RigError(
+                    f"{name} {value:g}: a number of milliseconds, {least:g} or more and up to {LONGEST_MS:g}, "
+                    "is needed"
+                )
 
     @property
     def period_s(self) -> float:

@@ -21,7 +21,7 @@ Sources: Ma et al. 2007 (ratio), Wilson et al. 2010, ACM TOG 29(2) (difference, 
 """
 
 import re
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import permutations, product
@@ -31,7 +31,9 @@ from hw.errors import RigError
 
 AXES = ("X", "Y", "Z")
 GRADIENTS = ("X", "Y", "Z", "Xc", "Yc", "Zc")
-_ILLUMINATION = re.compile(r"C|[XYZ]c?|L[0-9]+|T[0-3]|O")
+_ILLUMINATION = re.compile(r"C|[XYZ]c?|L[0-9]{1,6}|T[0-3]|O")
+MOST_TRACKING, MOST_PICTURES = 5000, 20_000
+"""Of a sequence: minutes at the fastest that cameras are."""
 _START = ("X", "Z")
 """Any two gradients of different axes will do; these are the thesis'."""
 Sets = Literal["pure", "mixed"]
@@ -105,7 +107,7 @@ def multispectral(bands_nm: Sequence[float]) -> tuple[Exposure, ...]:
     """
     if not bands_nm:
         raise RigError("a multispectral set needs at least one band, such as 576")
-    twice = sorted({band for band in bands_nm if list(bands_nm).count(band) > 1})
+    twice = sorted(band for band, count in Counter(bands_nm).items() if count > 1)
     if twice:
         raise RigError(f"the band {twice[0]:g} nm stands twice; name each filter once")
     return tuple(Exposure(name, band) for band in bands_nm for name in static())
@@ -156,10 +158,15 @@ def cycle(kind: Literal["wilson", "minimal"], *, sets: Sets = "pure") -> tuple[s
 
 def period(sequence: Sequence[str]) -> int:
     """The fewest pictures after which a sequence goes on as it began, two at least; else its length."""
-    for step in range(1, len(sequence) - 1):
-        if all(a == b for a, b in zip(sequence, sequence[step:], strict=False)):
-            return step
-    return len(sequence)
+    # the longest beginning that is also an end, for every beginning in turn (Knuth, Morris, Pratt 1977)
+    borders = [0] * len(sequence)
+    for i in range(1, len(sequence)):
+        border = borders[i - 1]
+        while border and sequence[border] != sequence[i]:
+            border = borders[border - 1]
+        borders[i] = border + (sequence[border] == sequence[i])
+    step = len(sequence) - borders[-1] if sequence else 0
+    return step if step < len(sequence) - 1 else len(sequence)
 
 
 def parse(text: str) -> tuple[str, ...]:
@@ -254,13 +261,15 @@ def _same_kind(a: str, b: str) -> bool:
 
 
 def _check_count(tracking: int) -> None:
-    if tracking < 1:
-        raise RigError(f"{tracking} tracking frames: a performance needs at least 1")
+    if not 1 <= tracking <= MOST_TRACKING:
+        raise RigError(f"{tracking} tracking frames: a performance has 1 to {MOST_TRACKING}")
 
 
 def _check_names(sequence: Sequence[str]) -> None:
     if not sequence:
         raise RigError("the sequence is empty; expected illuminations such as X Z C Y Xc C")
+    if len(sequence) > MOST_PICTURES:
+        raise RigError(f"the sequence has {len(sequence)} pictures; {MOST_PICTURES} are the most")
     for i, name in enumerate(sequence):
         if not _ILLUMINATION.fullmatch(name):
             raise RigError(

@@ -24,6 +24,9 @@ from pydantic import Field
 from dag.stage import Arrangement, Grid, Input, Items, Needs, Output, Params, Stage, StageError
 from stages.resampling import STEP, correct, reorient, undone_shape, view_fraction, warp
 
+_BRIGHTEST_DARK = 0.9
+"""Of the white level: with less than a tenth of the range left nothing can be measured."""
+
 
 class RegisterParams(Params):
     """Parameters of `register`."""
@@ -90,7 +93,7 @@ def _prepare(
     flat_smoothing_percent: float,
 ) -> Mapping[str, Any]:
     size = (int(shape[0]), int(shape[1]))
-    darks = {camera: _dark(camera, dark, size) for camera in cameras}
+    darks = {camera: _dark(camera, dark, size, white_level) for camera in cameras}
     gains = _gains(cameras, reference, darks, flat, size, flat_smoothing_percent)
     grid = undone_shape(mounts[reference]["rotate"], size)
     views = []
@@ -120,8 +123,19 @@ def _picture(kind: str, camera: str, item: Mapping[str, Any], size: tuple[int, i
     return np.asarray(pixels / item["scale"], np.float32)
 
 
-def _dark(camera: str, item: Mapping[str, Any] | None, size: tuple[int, int]) -> NDArray[np.float32]:
-    return np.zeros(size, np.float32) if item is None else _picture("dark", camera, item, size)
+def _dark(
+    camera: str, item: Mapping[str, Any] | None, size: tuple[int, int], white_level: int
+) -> NDArray[np.float32]:
+    if item is None:
+        return np.zeros(size, np.float32)
+    dark = _picture("dark", camera, item, size)
+    level = float(np.median(dark))
+    if level >= _BRIGHTEST_DARK * white_level:
+        raise StageError(
+            f"the dark of {camera} is at {level:.0f} of {white_level} counts, so it leaves no room for light; "
+            "capture it again with the lens covered, or set its scale right"
+        )
+    return dark
 
 
 def _gains(

@@ -20,8 +20,9 @@ from store import document
 from store.errors import RequestError, raise_all
 from store.picture import EXTENSIONS, Picture, PictureError, decode, linear_from_srgb
 
-ILLUMINATION = re.compile(r"C|[XYZ]c?|L[0-9]+|T[0-3]|O")
-SESSION_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
+ILLUMINATION = re.compile(r"C|[XYZ]c?|L[0-9]{1,6}|T[0-3]|O")
+SESSION_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+NAME_RULE = "up to 100 letters, digits, dots, dashes and underscores, of which the first is a letter or digit"
 Polarisation = Literal["parallel", "cross", "unpolarised"]
 POLARISATIONS: tuple[Polarisation, ...] = ("parallel", "cross", "unpolarised")
 
@@ -130,7 +131,7 @@ class CaptureFile(_Part):
 
 def _conflicts(capture: CaptureFile) -> Iterator[str]:
     if not SESSION_NAME.fullmatch(capture.session):
-        yield f"session: the name '{capture.session}' may hold only letters, digits, dot, dash and underscore"
+        yield f"session: '{document.short(capture.session)}' is no name for a session: {NAME_RULE}"
     if not capture.cameras:
         yield "cameras: name at least one of parallel, cross or unpolarised"
     if "unpolarised" in capture.cameras and len(capture.cameras) > 1:
@@ -152,6 +153,10 @@ def _conflicts(capture: CaptureFile) -> Iterator[str]:
         yield f"files: the template is missing, and frame {unnamed[0]} does not name its own picture"
     for template in {capture.files, *(frame.file for frame in capture.frames)} - {None}:
         yield from _template_problems(str(template))
+    for key, place in (("calibration", capture.calibration), ("mask", capture.mask)):
+        # a link in the folder may lead out of it, because whoever made it could read what is there; a text may not
+        if place is not None and (Path(place).is_absolute() or ".." in Path(place).parts):
+            yield f"{key}: '{document.short(place)}' leaves the capture folder"
     present = {frame.illumination for frame in capture.frames}
     for name, value in capture.intensities.items():
         if name not in present:
@@ -379,7 +384,7 @@ def read_capture(folder: Path) -> Capture:
     Raises:
         RequestError: it is missing or wrong; every problem is listed.
     """
-    folder = folder.expanduser()
+    folder = Path(os.path.expanduser(folder))  # unlike Path.expanduser it leaves ~nobody as it is
     if not folder.is_dir():
         raise RequestError(f"{folder} is not a folder; expected a capture folder with capture.yaml in it")
     source = document.load(folder / "capture.yaml", what="the description of the capture")

@@ -54,8 +54,14 @@ class DamagedFileError(WorkError):
         return (DamagedFileError, (self.path, self.remedy))
 
 
+MOST_PROBLEMS = 20
+"""Nobody reads more at once, and a file can have one in every line."""
+
+
 def raise_all(problems: Iterable[str]) -> None:
-    """Raise one RequestError that lists every problem, or return when there is none."""
-    lines = list(problems)
+    """Raise one RequestError that lists the problems, MOST_PROBLEMS at most, or return when there is none."""
+    lines = [line for problem in problems for line in problem.splitlines()]
+    if len(lines) > MOST_PROBLEMS:
+        lines[MOST_PROBLEMS:] = [f"... and {len(lines) - MOST_PROBLEMS} more problems"]
     if lines:
         raise RequestError("\n".join(lines))

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from store.calibration import Item, StoredPicture, get_item, items_in, put_item
-from store.capture import SESSION_NAME, Capture, PictureFile, read_captures
+from store.capture import NAME_RULE, SESSION_NAME, Capture, PictureFile, read_captures
 from store.chunks import ChunkRef, Chunks, Staging
 from store.digest import digest_bytes
 from store.errors import RequestError, raise_all
@@ -62,10 +62,8 @@ def import_capture(
     """
     capture = read_captures([folder] if isinstance(folder, Path) else folder)
     session_name = capture.description.session if name is None else name
-    if not SESSION_NAME.fullmatch(session_name) or len(session_name) > 100:
-        raise RequestError(
-            f"--session {session_name[:100]!r}: a name has up to 100 letters, digits, dots, dashes and underscores"
-        )
+    if not SESSION_NAME.fullmatch(session_name):
+        raise RequestError(f"--session {session_name[:100]!r}: a name has {NAME_RULE}")
     staging = Staging(store.chunks, store.scratch)
     try:
         return _import(capture, session_name, store, staging, progress)

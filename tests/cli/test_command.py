@@ -117,7 +117,7 @@ def test_path_prints_the_path_and_nothing_else(lightstage: Lightstage, ball: Pat
         (("demo", "--bands", "20"), "390 to 760 nm"),
         (("demo", "--tracking", "3"), "only a performance has it"),
         (("demo", "--motion", "fast"), "only a performance has it"),
-        (("demo", "--sequence", "wilson", "--tracking", "0"), "needs at least 1"),
+        (("demo", "--sequence", "wilson", "--tracking", "0"), "a performance has 1 to 5000"),
         (("demo", "--sequence", "wilson", "--bands", "434,576"), "a performance has one band"),
         (("demo", "--sequence", "wilson", "--target", "ball"), "does not perform"),
     ],

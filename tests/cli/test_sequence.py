@@ -161,7 +161,7 @@ def test_count_prints_and_draws(lightstage: Lightstage, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "part"),
     [
-        (("wilson", "--tracking", "0"), "at least 1"),
+        (("wilson", "--tracking", "0"), "a performance has 1 to 5000"),
         (("minimal", "--sets", "both"), "'both' is not known"),
         (("wilsn",), "did you mean 'wilson'"),
         (("multispectral", "--bands", "red"), "--bands red: expected wavelengths"),

@@ -159,7 +159,7 @@ def test_the_part_that_repeats(sequence: tuple[str, ...], length: int) -> None:
 
 def test_what_is_refused() -> None:
     for call in (lambda: wilson(0), lambda: minimal(-1)):
-        with pytest.raises(RigError, match="at least 1"):
+        with pytest.raises(RigError, match="a performance has 1 to"):
             call()
     with pytest.raises(RigError, match="pure or mixed"):
         minimal(3, sets="some")  # type: ignore[arg-type]

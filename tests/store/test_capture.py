@@ -50,7 +50,7 @@ def edit(folder: Path, change: Callable[[dict[str, Any]], None]) -> None:
         (lambda d: d.update(intensities={"L09": 2.0}), "L09 is no illumination of this capture"),
         (lambda d: d.update(intensities={"C": [1.0, 2.0]}), "C has 2 numbers for 1 bands"),
         (lambda d: d.update(mount={"CAM1": {"rotate": 45}}), "rotate"),
-        (lambda d: d.update(session="a/b"), "may hold only letters"),
+        (lambda d: d.update(session="a/b"), "is no name for a session: up to 100 letters"),
         (lambda d: d.update(bits=17), "less than or equal to 16"),
     ],
 )
