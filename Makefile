@@ -5,7 +5,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 RUN    := $(BIN)/lightstage $(if $(STORE),--store "$(STORE)")
 
-.PHONY: help setup normals performance skin shape stimuli material test lint format bench docs golden clean
+.PHONY: help setup normals performance skin shape stimuli material test chaos lint format bench docs golden clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 13
@@ -46,6 +46,11 @@ material: $(VENV)/.user  ## base colour, gloss and normals for renderers: SESSIO
 
 test: $(VENV)/.developer  ## all tests
 	@$(BIN)/python -m pytest $(if $(TESTS),$(TESTS),-n 2)
+
+chaos: $(VENV)/.developer  ## faults on purpose, and their table: PART=flips SEED=17 TRIALS=1 makes one again
+	@$(BIN)/python -m tests.chaos $(if $(PART),$(addprefix --part ,$(PART))) $(if $(SEED),--seed $(SEED)) \
+	  $(if $(TRIALS),--trials $(TRIALS)) $(if $(PART)$(SEED)$(TRIALS),,--table docs/reliability.md)
+	@$(if $(PART),,LIGHTSTAGE_EXAMPLES=40 $(BIN)/python -m pytest -n 0 tests/store/test_state_machine.py)
 
 lint: $(VENV)/.developer  ## format, style, types, import contracts
 	@$(BIN)/ruff format --check .

@@ -144,7 +144,8 @@ def _plan(options: argparse.Namespace, session: "Session", given: "Mapping[str, 
 
 
 def _run(plan: "Plan", store: Store, screen: Screen) -> tuple[dict[str, Any], Path]:
-    from dag.run import Where, run
+    from dag.places import Where
+    from dag.run import run
 
     with RunWatcher(screen) as watcher:
         _, results = run(plan, store, watcher, where=Where(), versions=versions())

@@ -106,6 +106,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     screen = Screen(as_json="--json" in words)
     try:
         code = _command(words, screen)
+        if "numba" in sys.modules and folder() is None:
+            screen.warn(
+                "compiled code is not kept, because neither the user's cache folder nor the store can be written, "
+                "and every command compiles anew; set XDG_CACHE_HOME to a folder that can be written"
+            )
         screen.flush()
         return code
     except LightstageError as error:
@@ -143,19 +148,13 @@ def _command(words: Sequence[str], screen: Screen) -> int:
         return 2
     offer(options.store)
     try:
-        code = int(options.handler(options, screen))
+        return int(options.handler(options, screen))
     except (DamagedChunkError, DamagedGroupError) as damage:
         from cli.keep import set_aside
 
         set_aside(damage, options, screen)
         # begun again; what was computed before is there
-        code = int(options.handler(options, screen))
-    if "numba" in sys.modules and folder() is None:
-        screen.warn(
-            "compiled code is not kept, because neither the user's cache folder nor the store can be written, "
-            "and every command compiles anew; set XDG_CACHE_HOME to a folder that can be written"
-        )
-    return code
+        return int(options.handler(options, screen))
 
 
 _REMEDIES = {

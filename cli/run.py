@@ -68,6 +68,18 @@ def add_run_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scheduler", metavar="ADDRESS", help="a running Dask cluster that shares the store")
 
 
+_NOT_IN_KEY = ("workers", "scheduler", "pipeline")
+"""Options of a run that do not decide what comes out, or, the pipeline, do so by what the file holds."""
+
+
+def deciding_options(options: argparse.Namespace) -> dict[str, Any]:
+    """All that `add_run_options` offers and that decides what comes out: what is added there is in the key."""
+    offered = argparse.ArgumentParser(add_help=False)
+    add_run_options(offered)
+    names = {action.dest for action in offered._actions} - set(_NOT_IN_KEY)
+    return {name: getattr(options, name) for name in sorted(names)}
+
+
 def pipeline_path(given: Path | None) -> Path:
     """The pipeline file: the one given, the current folder's, or the packaged one."""
     if given is not None:
@@ -146,32 +158,29 @@ def handle_run(options: argparse.Namespace, screen: Screen) -> int:
 
 def run_session(options: argparse.Namespace, store: Store, screen: Screen, nodes: Sequence[str]) -> dict[str, Any]:
     """Run nodes for a session and say what was done; answers from one record when nothing has changed."""
-    from dag.recall import recall, remember, request_key
+    from dag.recall import lasting, recall, remember, request_now
 
     if options.workers is not None and options.workers < 1:
         raise RequestError(f"--workers {options.workers}: at least one process is needed")
+    if options.scheduler is not None and not options.scheduler.strip():
+        raise RequestError("--scheduler is empty; name an address, such as tcp://host:8786, or leave it out")
     if options.workers and options.scheduler:
         raise RequestError("--workers and --scheduler: choose one")
     frames = parse_frames(options.frames)
-
-    def key_now() -> str | None:
-        if options.calibration:
-            return None  # an item names pictures, whose bytes are not looked at here
-        return request_key(
+    request = None
+    if not options.calibration:  # an item names pictures, whose bytes are not looked at here
+        request = request_now(
             store,
             session=options.session,
             pipeline=pipeline_path(options.pipeline),
-            overrides=options.overrides,
-            nodes=nodes,
-            frames=frames,
+            options={**deciding_options(options), "nodes": list(nodes)},
         )
-
-    key = key_now()
-    answer = recall(store, key) if key is not None else None
+    answer = recall(store, request) if request is not None else None
     if answer is not None:
         return _tell(answer, store, screen, {}, 0.0)
 
-    from dag.run import Where, run
+    from dag.places import Where
+    from dag.run import run
     from store.sessions import show_raw
 
     store.scratch.sweep()
@@ -188,8 +197,7 @@ def run_session(options: argparse.Namespace, store: Store, screen: Screen, nodes
     except WorkError as error:
         screen.warn(str(error))
     _say_skipped(state, screen)
-    # what was read may have changed since the key was made
-    answer = remember(store, key if key == key_now() else None, options.session, results)
+    answer = remember(store, plan.request(request) if lasting(request) else None, options.session, results)
     store.scratch.leave()
     done = {name: (result.computed, result.seconds) for name, result in results.items()}
     return _tell(answer, store, screen, done, elapsed)

@@ -2,9 +2,19 @@
 
 stage.py        what a stage says of itself
 graph.py        pipeline.yaml -> checked graph
+sources.py      our own source files, and what of them this process executes
 fingerprint.py  the keys; its docstring states the whole scheme
 plan.py         which blocks there are, what each reads, which are known already
-run.py          computes the rest; the only module that imports Dask
+task.py         one block, wherever it is computed: the kernel, its inputs, its record
+places.py       where tasks are computed; the only module that imports Dask
+run.py          computes what is not known yet, and publishes it
+publish.py      from known blocks to result groups
 recall.py       the short cut of a fully cached run
 explain.py      status and why: a plan held against what is in the store
+
+Importing it lets `sources` record what is imported from then on.
 """
+
+from dag.sources import record_imports
+
+record_imports()

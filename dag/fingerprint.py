@@ -6,17 +6,19 @@ A key is the digest (xxh3, 128 bits) of canonical JSON. From the outside in:
     stage key  = { engine, stage, version, code, parameters, libraries }
     recipe     = { stage key, contexts of the node's blocks, recipes above }    names a result folder
     node key   = the block keys of a node, in order
-    run key    = { request, pipeline file, session, items, source files, libraries }
+    run key    = { options, pipeline file, session, items, source files, all that is installed }      see `recall`
 
 **engine** is ENGINE below, raised by hand when the engine hands something else to kernels than before.
 
 **code** is the syntax tree of the stage's module and of every module of ours that it imports, directly or
 through others, without docstrings, comments, formatting and type annotations; not `dag`, whose contract
-cannot change numbers. Helpers count, so an edited helper cannot serve stale results.
+cannot change numbers. Helpers count, so an edited helper cannot serve stale results. A module counts as this
+process has executed it (`sources`), not as its file stands.
 
 **parameters** are the validated ones with their defaults, so writing a default out changes nothing.
 
-**libraries** are the versions of the numeric libraries (NUMERIC) that those modules import.
+**libraries** are the versions of the numeric libraries (NUMERIC) that those modules import; a library that is
+neither there nor in SILENT is refused, so that none is left out by oversight.
 
 **context** is the part of the session's facts and of the calibration items that this block reads: the dark of
 its cameras, the transmission of its band. Pictures enter by the digest of their values.
@@ -28,18 +30,19 @@ matter.
 Not in any key, because they cannot change results: paths, names of sessions and nodes, worker counts, chunk
 compression, dates, hosts, notes of calibration items, log and display options.
 
-A task checks that its own process would make the same stage key, so that a worker with older code or other
-libraries refuses instead of storing its numbers under a key that is not theirs.
+A task checks that its own process would make the same stage key and has the same engine, so that a worker with
+older code or other libraries refuses instead of storing its numbers under a key that is not theirs.
 """
 
 import ast
 import functools
 import importlib.metadata
 import importlib.util
+import sys
 from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
+from dag.sources import generation, source
 from dag.stage import CalibrationPicture, Params, Stage
 from store.digest import digest_bytes, digest_value
 
@@ -55,6 +58,9 @@ NUMERIC: Mapping[str, str] = {
     "skimage": "scikit-image",
 }
 """Import name -> distribution, of the libraries that decide numbers."""
+
+SILENT = frozenset({"pydantic", "yaml"})
+"""Libraries that a stage may import and that decide none."""
 
 _GEOMETRY = ("hw",)
 """Packages beside the stages' own whose modules a stage may call: the rig's geometry."""
@@ -98,43 +104,65 @@ def _text(node: Any) -> str:
     return repr(node)
 
 
-@functools.cache
 def module_code(name: str) -> Mapping[str, str]:
     """Digest of the code of a module and of the modules of its package that it imports, by module name."""
+    return _module_code(name, generation())
+
+
+@functools.cache
+def _module_code(name: str, _generation: int) -> Mapping[str, str]:
     return dict(sorted(_closure(name, {}).items()))
 
 
-@functools.cache
 def module_libraries(name: str) -> Mapping[str, str]:
-    """Versions of the numeric libraries that a module and the modules of ours that it calls import."""
+    """Versions of the numeric libraries that a module and the modules of ours that it calls import.
+
+    Raises:
+        ModuleNotFoundError: one of them imports a library of which nobody has said whether it decides numbers.
+    """
     used = set()
     for module in module_code(name):
-        used |= {imported.split(".")[0] for imported in _imports(_parse(module), module)}
+        imported = {found.split(".")[0] for found in _imports_of(module)}
+        strange = (
+            imported - {module.split(".")[0], *_GEOMETRY, "dag"} - SILENT - sys.stdlib_module_names - set(NUMERIC)
+        )
+        if strange:
+            raise ModuleNotFoundError(
+                f"{module} imports {', '.join(sorted(strange))}, which is neither in NUMERIC nor in SILENT of "
+                "dag/fingerprint.py, so it cannot be in a key"
+            )
+        used |= imported & set(NUMERIC)
     if "numba" in used:
         used.add("scipy")  # whose LAPACK numba's linear algebra calls
-    return {NUMERIC[u]: importlib.metadata.version(NUMERIC[u]) for u in sorted(used & set(NUMERIC))}
+    return {NUMERIC[name]: _version(NUMERIC[name]) for name in sorted(used)}
 
 
-def _parse(module: str) -> ast.Module:
-    return ast.parse(_source(module).read_text(encoding="utf-8"))
+_version = functools.cache(importlib.metadata.version)
 
 
 def _closure(module: str, found: dict[str, str]) -> dict[str, str]:
     if module in found:
         return found
-    found[module] = code_digest(_source(module).read_text(encoding="utf-8"))
+    found[module] = _code_digest(source(module))
     ours = {module.split(".")[0], *_GEOMETRY}
-    for imported in _imports(_parse(module), module):
+    for imported in _imports_of(module):
         if imported.split(".")[0] in ours and "." in imported:
             _closure(imported, found)
     return found
 
 
-def _source(module: str) -> Path:
-    spec = importlib.util.find_spec(module)
-    if spec is None or spec.origin is None:
-        raise ModuleNotFoundError(f"the source of {module} cannot be found, so it cannot be in a key")
-    return Path(spec.origin)
+@functools.cache
+def _code_digest(text: bytes) -> str:
+    return code_digest(text.decode())
+
+
+def _imports_of(module: str) -> tuple[str, ...]:
+    return _imported(source(module), module)
+
+
+@functools.cache
+def _imported(text: bytes, module: str) -> tuple[str, ...]:
+    return tuple(_imports(ast.parse(text), module))
 
 
 def _imports(tree: ast.AST, module: str) -> Iterable[str]:

@@ -58,6 +58,8 @@ class Graph:
 
     nodes: Mapping[str, Node]
     source: str
+    digest: str
+    """Of the file's text."""
 
     @property
     def usual(self) -> list[str]:
@@ -145,7 +147,7 @@ def load_graph(path: Path, table: Mapping[str, str], *, overrides: Sequence[str]
         if name in nodes and not in_a_circle:
             problems += _misfits(source, nodes[name], nodes)
     raise_all(problems)
-    return Graph({name: nodes[name] for name in order}, source.name)
+    return Graph({name: nodes[name] for name in order}, source.name, source.digest)
 
 
 def _parse_overrides(

@@ -12,6 +12,7 @@ from typing import Any
 
 from dag.fingerprint import block_key, plain_context, recipe, stage_parts
 from dag.graph import Graph, Node
+from dag.recall import Request, item_digest
 from dag.stage import Arrangement, CalibrationPicture, Grid, Group, StageError
 from store.calibration import Item, StoredPicture, get_item, not_valid_for
 from store.chunks import ChunkIndex, ChunkRef
@@ -103,6 +104,15 @@ class Plan:
     items: Mapping[str, Item]
     targets: tuple[str, ...]
 
+    def request(self, request: Request) -> Request:
+        """A request as this plan has read it: its files may have been others when it was looked for."""
+        return replace(
+            request,
+            session=self.session.digest,
+            pipeline=self.graph.digest,
+            items={kind: _said_by(item) for kind, item in self.items.items()},
+        )
+
 
 @dataclass
 class NodeState:
@@ -169,6 +179,11 @@ class State:
     plan: Plan
     nodes: dict[str, NodeState] = field(default_factory=dict)
     frames: tuple[int, int] | None = None
+
+
+def _said_by(item: Item) -> str:
+    pictures = {camera: picture.as_plain() for camera, picture in item.pictures.items()}
+    return item_digest(item.kind, item.digest, item.values, item.notes, pictures)
 
 
 def bound_items(session: Session, store: Store, overrides: Mapping[str, Item]) -> dict[str, Item]:

@@ -1,96 +1,109 @@
 """The short cut of a fully cached run: answer from one record, without the graph, the stages, Dask or zarr.
 
-A request is recognised by the bytes of everything that could change its answer: the pipeline file, the
-session, the source files of the engine and the stages, the numeric libraries, and the options. The answer is
+A request is recognised by everything that could change its answer: the pipeline file, the session, its items,
+our own source files (`sources`, which walks the folders), the installed libraries, and the options. The answer is
 given only while every result folder and every chunk that it names is there.
+
+A request is looked for by what the files hold, and remembered by what the plan has read of them: a binding that was
+changed for a moment while a run began must not lend its result to another.
 """
 
 import json
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
+from dag.sources import Sources, outdated, read_sources
 from store.digest import SHORT, digest_bytes, digest_value
 from store.results import ResultName, set_current
 from store.root import Store
-
-PACKAGES = ("stages", "hw", "dag", "store")
-_LIBRARIES = (
-    "colour_science",
-    "numba",
-    "numpy",
-    "opencv_contrib_python_headless",
-    "pyamg",
-    "scikit_image",
-    "scipy",
-)
-
 
 _SAID = ("method", "engine", "note", "cannot_be_made", "distance_mm", "distance_found", "warnings")
 """What of a result's attributes a run tells."""
 
 
-def request_key(
-    store: Store,
-    *,
-    session: str,
-    pipeline: Path,
-    overrides: Sequence[str],
-    nodes: Sequence[str],
-    frames: tuple[int, int] | None,
-) -> str | None:
-    """Key of a request, or None when the session or the pipeline file is not there."""
+@dataclass(frozen=True)
+class Request:
+    """What is asked for: `options` as the user gave them, the files by their content."""
+
+    options: Mapping[str, Any]
+    session: str
+    """Digest of session.json."""
+    pipeline: str
+    """Digest of the pipeline file."""
+    items: Mapping[str, str]
+    """Per kind, the digest of what its item.json says; notes count, they decide whether an item may be used."""
+    sources: Sources
+    libraries: tuple[str, ...]
+
+    @property
+    def key(self) -> str:
+        """What its answer is remembered under."""
+        return digest_value(
+            {
+                "options": dict(self.options),
+                "session": self.session,
+                "pipeline": self.pipeline,
+                "items": dict(self.items),
+                "sources": self.sources.digest,
+                "libraries": list(self.libraries),
+            }
+        )
+
+
+def request_now(store: Store, *, session: str, pipeline: Path, options: Mapping[str, Any]) -> Request | None:
+    """The request as the files stand, or None when the session, the pipeline file or an item is not there."""
     try:
         session_bytes = (store.sessions / session / "session.json").read_bytes()
-        pipeline_bytes = pipeline.read_bytes()
         bound = json.loads(session_bytes)["items"]
-        # their notes (rig, valid from) decide whether an item may be used at all
-        items = [(store.calibration / f"{k}-{d[:SHORT]}" / "item.json").read_bytes() for k, d in bound.items()]
-    except (OSError, ValueError, KeyError):
+        items = {}
+        for kind, digest in bound.items():
+            plain = json.loads((store.calibration / f"{kind}-{digest[:SHORT]}" / "item.json").read_bytes())
+            items[kind] = item_digest(
+                plain["kind"], plain["digest"], plain["values"], plain["notes"], plain["pictures"]
+            )
+        return Request(
+            options=options,
+            session=digest_bytes(session_bytes),
+            pipeline=digest_bytes(pipeline.read_bytes()),
+            items=items,
+            sources=read_sources(),
+            libraries=libraries(),
+        )
+    except (OSError, ValueError, KeyError, TypeError):
         return None
-    return digest_value(
-        {
-            "session": digest_bytes(session_bytes),
-            "pipeline": digest_bytes(pipeline_bytes),
-            "items": [digest_bytes(item) for item in items],
-            "overrides": list(overrides),
-            "nodes": list(nodes),
-            "frames": None if frames is None else list(frames),
-            "sources": _sources(),
-            "libraries": _libraries(),
-        }
-    )
 
 
-def _sources() -> list[str]:
-    """Digests of our source files."""
-    root = Path(__file__).resolve().parent.parent
-    found = []
-    for package in PACKAGES:
-        for entry in sorted(os.scandir(root / package), key=lambda item: item.name):
-            if entry.name.endswith(".py"):
-                with open(entry.path, "rb") as file:
-                    found.append(f"{package}/{entry.name}:{digest_bytes(file.read())}")
-    return found
+def item_digest(
+    kind: str, digest: str, values: Mapping[str, Any], notes: Mapping[str, Any], pictures: Mapping[str, Any]
+) -> str:
+    """Digest of all that a stored item says."""
+    return digest_bytes(json.dumps([kind, digest, values, notes, pictures], sort_keys=True).encode())
 
 
-def _libraries() -> list[str]:
-    """The installed versions, from the names of their folders; `importlib.metadata` would take longer to load."""
+def lasting(request: Request | None) -> TypeGuard[Request]:
+    """Whether our sources are still those of the request, untouched, and those that this process executed."""
+    return request is not None and request.sources == read_sources() and not outdated(request.sources)
+
+
+def libraries() -> tuple[str, ...]:
+    """All that is installed, with versions, from the names of folders; `importlib.metadata` would load too long."""
     found = set()
     for folder in sys.path:
         try:
             names = os.listdir(folder or ".")
         except OSError:
             continue
-        found |= {n for n in names if n.endswith(".dist-info") and n.split("-")[0].lower() in _LIBRARIES}
-    return sorted(found)
+        found |= {name for name in names if name.endswith((".dist-info", ".egg-info"))}
+    return tuple(sorted(found))
 
 
-def recall(store: Store, key: str) -> dict[str, Any] | None:
+def recall(store: Store, request: Request) -> dict[str, Any] | None:
     """The answer to a request, if all of it is still there; lets `current` name its results."""
-    answer = store.records.run(key)
+    answer = store.records.run(request.key)
     if answer is None:
         return None
     blobs = str(store.chunks.folder)
@@ -117,11 +130,11 @@ def recall(store: Store, key: str) -> dict[str, Any] | None:
     return answer
 
 
-def remember(store: Store, key: str | None, session: str, results: Mapping[str, Any]) -> dict[str, Any]:
+def remember(store: Store, request: Request | None, session: str, results: Mapping[str, Any]) -> dict[str, Any]:
     """The answer to a request, kept under its key if there is one.
 
     Args:
-        results: node name -> `dag.run.NodeResult`.
+        results: node name -> `dag.publish.NodeResult`.
     """
     nodes = {
         name: {
@@ -135,6 +148,6 @@ def remember(store: Store, key: str | None, session: str, results: Mapping[str, 
         for name, result in results.items()
     }
     answer = {"session": session, "nodes": nodes}
-    if key is not None:
-        store.records.put_run(key, answer)
+    if request is not None:
+        store.records.put_run(request.key, answer)
     return answer

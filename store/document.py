@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, Union, get_a
 
 import yaml
 
+from store.digest import digest_bytes
 from store.errors import MOST_PROBLEMS, RequestError, raise_all
 
 if TYPE_CHECKING:
@@ -56,6 +57,8 @@ class Document:
     name: str
     value: Any
     marks: Mapping[Where, tuple[int, int]] = field(repr=False)
+    digest: str = ""
+    """Of the text."""
 
     def at(self, where: Where) -> str:
         """`file:line:column` of a value, or of the nearest thing around it that has a place."""
@@ -110,7 +113,7 @@ def parse(text: str, *, name: str) -> Document:
     except (yaml.YAMLError, UnicodeError) as error:
         raise RequestError(f"{name}: not valid YAML: {' '.join(str(error).split())}") from None
     raise_all(builder.problems)
-    return Document(name, builder.value, builder.marks)
+    return Document(name, builder.value, builder.marks, digest_bytes(text.encode()))
 
 
 def scalar(text: str) -> Any:

@@ -85,4 +85,4 @@ def lightstage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Callable[.
 def run_process(*words: str | Path, store: Path, **options: Any) -> subprocess.CompletedProcess[str]:
     """The command in a process of its own."""
     command = [sys.executable, "-m", "cli.main", "--store", str(store), *map(str, words)]
-    return subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, timeout=300, **options)
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, **{"cwd": REPOSITORY, **options})

@@ -83,13 +83,13 @@ def test_helpers_count_also_through_others(tmp_path: Path, monkeypatch: pytest.M
     (package / "middle.py").write_text("from .bottom import f\nimport scipy.ndimage\n")
     (package / "bottom.py").write_text("def f(a):\n    return a\n")
     monkeypatch.syspath_prepend(str(tmp_path))
-    fingerprint.module_code.cache_clear()
+    fingerprint._module_code.cache_clear()
     fingerprint._is_module.cache_clear()
     before = dict(fingerprint.module_code("fakestages.top"))
     assert set(before) == {"fakestages.top", "fakestages.middle", "fakestages.bottom"}
     assert list(fingerprint.module_libraries("fakestages.top")) == ["scipy"]
     (package / "bottom.py").write_text("def f(a):\n    return a + 1\n")
-    fingerprint.module_code.cache_clear()
+    fingerprint._module_code.cache_clear()
     after = dict(fingerprint.module_code("fakestages.top"))
     assert {name for name in after if after[name] != before[name]} == {"fakestages.bottom"}
 

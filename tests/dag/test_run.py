@@ -1,9 +1,11 @@
 """A second run, a changed parameter, item or picture, a kill, a second process: they cost only what they must."""
 
+import contextlib
 import filecmp
 import random
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -263,8 +265,14 @@ def test_processes_give_the_same_bits_as_threads(tmp_path: Path) -> None:
     import_capture(folder, threads)
     import_capture(folder, workers)
     assert run_process("run", "--session", "s", store=threads.root).returncode == 0
-    done = run_process("run", "--session", "s", "--workers", "2", "--json", store=workers.root)
+    here = tmp_path / "here"
+    here.mkdir()
+    with contextlib.suppress(OSError), socket.create_server(("", 8787)):  # Dask's: whoever wants it would say so
+        done = run_process("run", "--session", "s", "--workers", "2", "--json", store=workers.root, cwd=here)
     assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    assert not list(here.iterdir())
+    assert not list((workers.root / "tmp").iterdir())
     assert Answer(0, done.stdout, "").json["nodes"]["register"]["computed"] == 14
     for node, path in groups(workers.root).items():
         assert same_trees(path, groups(threads.root)[node]), node
@@ -560,13 +568,13 @@ def test_no_light_is_no_normal(lightstage: Lightstage, tmp_path: Path) -> None:
 def test_a_worker_with_other_code_refuses(
     lightstage: Lightstage, ball: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import dag.run
+    import dag.task
 
-    monkeypatch.setattr(dag.run, "_checked", set())
-    monkeypatch.setattr(dag.run, "stage_parts", lambda *_: {"code": "older"})
+    monkeypatch.setattr(dag.task, "_fit", set())
+    monkeypatch.setattr(dag.task, "stage_parts", lambda *_: {"code": "older"})
     done = lightstage("run", "--session", "ball", "--set", "normals.method=ratio")
     assert done.code == 1
-    assert "a worker has other code or libraries for the stage normals" in done.err
+    assert "this process has other code or libraries for the stage normals than the command had" in done.err
 
 
 def test_an_asked_node_is_computed_by_name_and_looked_after_from_then_on(
