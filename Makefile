@@ -5,10 +5,10 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 RUN    := $(BIN)/lightstage $(if $(STORE),--store "$(STORE)")
 
-.PHONY: help setup normals performance skin shape stimuli material test chaos lint format bench docs golden clean
+.PHONY: help setup normals performance skin shape stimuli material test test-processors chaos lint format bench docs golden clean
 
 help:  ## list the targets
-	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 13
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 18
 	@echo "Variables: SESSION=name or capture folder, TO=folder, STORE=folder (default data/), PYTHON=python3"
 
 # What a user needs and what a developer needs have a lock file each, so that the first picture comes sooner.
@@ -46,6 +46,9 @@ material: $(VENV)/.user  ## base colour, gloss and normals for renderers: SESSIO
 
 test: $(VENV)/.developer  ## all tests
 	@$(BIN)/python -m pytest $(if $(TESTS),$(TESTS),-n 2)
+
+test-processors: $(VENV)/.developer  ## all tests, as on processors with fewer instructions (half an hour)
+	@$(BIN)/python -m tests.processors $(TESTS)
 
 chaos: $(VENV)/.developer  ## faults on purpose, and their table: PART=flips SEED=17 TRIALS=1 makes one again
 	@$(BIN)/python -m tests.chaos $(if $(PART),$(addprefix --part ,$(PART))) $(if $(SEED),--seed $(SEED)) \

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-# without "contract": a product and a sum in one step round once, and not every processor has that step
+# no "contract": a product and a sum in one step round once, and not every processor has that step
 FLAGS = {"nogil": True, "cache": True, "error_model": "numpy", "fastmath": {"nsz", "arcp", "reassoc"}}
 MASS = np.array([[4, 2, 2, 1], [2, 4, 1, 2], [2, 1, 4, 2], [1, 2, 2, 4]]) / 36.0
 """Integrals of the products of a cell's four bilinear basis functions."""

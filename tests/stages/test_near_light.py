@@ -330,6 +330,23 @@ def test_the_whole_solution_is_the_same_twice(ball: tuple[Any, ...]) -> None:
     np.testing.assert_array_equal(one.seen, two.seen)
 
 
+def test_depth_does_not_tell_where_its_solver_began(ball: tuple[Any, ...]) -> None:
+    """So neither its last step nor its preconditioner, which hang on last bits, shows; 1e-8 is 8 nm of depth."""
+    _, truth, depth, camera, _ = ball
+    mask = np.isfinite(depth)
+    normal = np.where(mask, truth, 0).transpose(1, 2, 0) * [1, -1, -1]
+    rays = Pinhole.of(camera, mask.shape).rays
+    start = np.where(mask, 7 + 0.05 * np.random.default_rng(0).normal(size=mask.shape), np.nan)
+    one, other = integrate(normal, mask, rays), integrate(normal, mask, rays, start=start)
+    np.testing.assert_allclose(other[mask], one[mask], rtol=0, atol=1e-8)
+
+
+def test_the_distance_is_where_the_residual_is_zero() -> None:
+    found, told = self_consistent._root(lambda d: np.arctan((d - 803.217) / 40), 850.0, 400.0, 1300.0)
+    assert told
+    assert found == pytest.approx(803.217, abs=1e-6)
+
+
 def test_the_camera_smaller_sees_the_same_rays() -> None:
     _, _, _, camera = near_ball(*light_places(3))
     pinhole = Pinhole.of(camera, (96, 96))
