@@ -131,6 +131,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except Exception as error:
         if "--debug" in words:
             raise
+        if isinstance(error, ImportError) and "failed to map segment" in str(error):
+            lacking = WorkError(f"there is not enough memory to load {error.name or 'a library'} (see `ulimit -v`)")
+            return _failed(lacking, 1, screen, words)
         name = type(error).__name__
         message = f"unexpected {name}: {error}; run again with --debug and report what it shows"
         return _failed(RequestError(message), 1, screen, words)

@@ -121,9 +121,13 @@ def _on_processes(graph: Mapping[Any, Any], workers: int, on_done: OnDone) -> No
 
 
 def _begin_worker() -> None:
-    # Ctrl-C is for the command, and what a block leaves when it is stopped is clean
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    # Ctrl-C reaches every process of the terminal; the command alone says so
+    signal.signal(signal.SIGINT, _stop)
     threading.Thread(target=_end_with_command, daemon=True).start()
+
+
+def _stop(*_: object) -> NoReturn:
+    raise SystemExit
 
 
 def _end_with_command() -> None:

@@ -267,7 +267,10 @@ def test_processes_give_the_same_bits_as_threads(tmp_path: Path) -> None:
     assert run_process("run", "--session", "s", store=threads.root).returncode == 0
     here = tmp_path / "here"
     here.mkdir()
-    with contextlib.suppress(OSError), socket.create_server(("", 8787)):  # Dask's: whoever wants it would say so
+    workers.scratch.leave()
+    with contextlib.ExitStack() as taken:
+        with contextlib.suppress(OSError):  # Dask's port: whoever wants it would say that it is taken
+            taken.enter_context(socket.create_server(("", 8787)))
         done = run_process("run", "--session", "s", "--workers", "2", "--json", store=workers.root, cwd=here)
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
