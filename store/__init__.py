@@ -10,9 +10,11 @@ document.py     YAML with line and column, checked against a model
 root.py         the folder itself, and the one object that joins the rest
 chunks.py       stored chunks, addressed by content
 records.py      what was computed from what: block, node and run records
+notes.py        beside each group, what its files should be
+checked.py      a group read with every byte checked
 grid.py         the zarr groups that anyone can open with xarray
 capture.py      the capture folder, as it comes off a rig
-sessions.py     imported captures
+sessions.py     imported captures, and how they are changed
 calibration.py  calibration items
 results.py      the result folders
 verify.py       every byte read, what can be mended mended, the rest named

@@ -103,7 +103,7 @@ def current(session: str, node: str, store: Store) -> str | None:
     """The folder name of the result in use, if it is there."""
     folder = store.results / session / node
     try:
-        with open(folder / "current", encoding="utf-8") as file:
+        with open(folder / "current", encoding="ascii", errors="replace") as file:
             name = file.read().strip()
     except (FileNotFoundError, NotADirectoryError):
         return None

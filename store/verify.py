@@ -15,7 +15,7 @@ from typing import Any
 
 from store.calibration import Item, get_item, item_names, original_of
 from store.digest import SHORT, digest_bytes
-from store.errors import DamagedFileError, LightstageError, WorkError
+from store.errors import DamagedFileError, LightstageError, RequestError, WorkError
 from store.files import files_below, link_or_copy, replace
 from store.notes import Note, chunk_file, digest_of, note_path, read_note
 from store.records import KINDS, blobs_named, intact_record
@@ -351,7 +351,8 @@ def _mend_view(
             _link(store, store.chunks.path(blob), path)
             report.add(path, name, f"restored from the stored chunk; {_MENDED}")
     if view.session is not None and not bad & set(view.links.values()):
-        show_raw(view.session.name, store)
+        with contextlib.suppress(RequestError):  # it was removed in the meantime
+            show_raw(view.session.name, store)
 
 
 def _digest_in(path: Path, by_inode: Mapping[tuple[int, int], str]) -> str | None:

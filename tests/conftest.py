@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import Any
 import hypothesis
 import pytest
 
+from store.notes import write_note
 from store.root import Store
 from tests.scenes import sphere_capture
 
@@ -80,6 +82,16 @@ def lightstage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Callable[.
         return Answer(code, said.out, said.err)
 
     return call
+
+
+def put_result(dataset: Any, root: Path, session: str, node: str) -> None:
+    """A result made by hand, with the note that says what its files are."""
+    group = root / "results" / session / node / "by-hand"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # zarr: consolidated metadata is not in the specification yet
+        dataset.to_zarr(group, consolidated=True)
+    write_note(Store(root).scratch, group, group, {}, {})
+    (group.parent / "current").write_text("by-hand\n")
 
 
 def run_process(*words: str | Path, store: Path, **options: Any) -> subprocess.CompletedProcess[str]:

@@ -1,6 +1,5 @@
 """The figure of one tracking frame's alignment: what is where on the page, and what is refused."""
 
-import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ import numpy as np
 import pytest
 import xarray
 
-from tests.conftest import Answer
+from tests.conftest import Answer, put_result
 from tests.scenes import one_camera_capture
 
 Lightstage = Callable[..., Answer]
@@ -31,14 +30,6 @@ def _scene() -> Any:
     for row, column in ((12, 14), (26, 30), (14, 46)):
         scene += 0.5 * np.exp(-((x - column) ** 2 + (y - row) ** 2) / 8)
     return scene
-
-
-def _save(dataset: xarray.Dataset, store: Path, node: str) -> None:
-    folder = store / "results" / "head" / node
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # zarr: consolidated metadata is not in the specification yet
-        dataset.to_zarr(folder / "by-hand", consolidated=True)
-    (folder / "current").write_text("by-hand\n")
 
 
 @pytest.fixture
@@ -67,7 +58,7 @@ def results(store: Path, lights: tuple[str, ...] = LIGHTS) -> None:
     confidence[0, 4] = 0
     unfilled = np.full((1, HEIGHT, WIDTH), np.nan)
     labels = {"band": [0.0], "component": np.array(["diffuse"], object)}
-    _save(
+    put_result(
         xarray.Dataset(
             {
                 "radiance": (
@@ -83,9 +74,10 @@ def results(store: Path, lights: tuple[str, ...] = LIGHTS) -> None:
             },
         ),
         store,
+        "head",
         "stack",
     )
-    _save(
+    put_result(
         xarray.Dataset(
             {
                 "flow": (("tracking", "member", "xy", "y", "x"), flow),
@@ -105,6 +97,7 @@ def results(store: Path, lights: tuple[str, ...] = LIGHTS) -> None:
             {"engine": "motion"},
         ),
         store,
+        "head",
         "align",
     )
 

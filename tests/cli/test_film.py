@@ -1,7 +1,6 @@
 """Films of normals: what is in the file, read back by another program, and what is refused."""
 
 import os
-import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ import pytest
 import xarray
 
 from cli.film import angle_deg, as_colour, relit
-from tests.conftest import Answer
+from tests.conftest import Answer, put_result
 from tests.scenes import one_camera_capture
 
 Lightstage = Callable[..., Answer]
@@ -39,11 +38,7 @@ def moving(lightstage: Lightstage, tmp_path: Path) -> str:
             "time_s": ("frame", np.arange(3) / 60),
         },
     )
-    result = tmp_path / "store" / "results" / "head" / "upsample"
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # zarr: consolidated metadata is not in the specification yet
-        dataset.to_zarr(result / "by-hand", consolidated=True)
-    (result / "current").write_text("by-hand\n")
+    put_result(dataset, tmp_path / "store", "head", "upsample")
     return "head"
 
 

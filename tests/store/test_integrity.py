@@ -280,6 +280,18 @@ def test_a_command_that_computes_heals_what_it_meets(ball: Path, lightstage: Lig
     assert verify(Store(ball)).damaged == []
 
 
+def test_a_current_that_names_nothing_is_no_result_until_the_next_run(ball: Path, lightstage: Lightstage) -> None:
+    path = one(ball, "current")
+    good = path.read_bytes()
+    flip(path, 7)
+    assert lightstage("status", "--session", "ball").code == 0
+    done = lightstage("path", "stack", "--session", "ball")
+    assert done.code == 2
+    assert "`lightstage run stack --session ball` computes it" in done.err
+    assert lightstage("run", "--session", "ball").code == 0
+    assert path.read_bytes() == good
+
+
 def test_a_session_made_anew_says_what_it_cannot_know(ball: Path, made: Path) -> None:
     flip(one(ball, "session.json"))
     (warning,) = import_capture(made / "ball", Store(ball)).warnings
