@@ -7,7 +7,7 @@
     sessions.py   import, sessions, calibration
     run.py        run, normals, performance
     look.py       status, why, graph, path
-    keep.py       verify, gc
+    keep.py       verify, gc, upgrade
     calibrate.py  calibrate, with calibration_report.py
     sequence.py   sequence: what to show, image by image
     demo.py       demo: the virtual rig as a capture

@@ -55,23 +55,28 @@ def upgrade(root: str | Path, *, progress: Progress | None = None) -> Upgraded:
     store = Store.of_any_format(root)
     with disk_faults_named(store.root), _alone(store):
         found = _found(store.root)
-        if found.format > FORMAT:
-            raise marker.other_format(found, store.root) or WorkError(f"{store.root} is of another format")
+        refusal = marker.other_format(found, store.root)
+        if found.format > FORMAT and refusal is not None:
+            raise refusal
         done = Upgraded(found.format)
-        if found == changed(found, format=FORMAT, upgrading=False):
-            return done
-        _refuse_company(store)
-        present = Marker(found.format, found.id or secrets.token_hex(16), upgrading=True)
-        for step in range(found.format, FORMAT + 1):
-            present = changed(present, format=step)
-            os.sync()  # a step is on the disk before the store says that it is done
-            replace(store.scratch, store.root / marker.NAME, present.as_bytes())
-            if step in STEPS:
-                STEPS[step](store, done, progress or _silently)
-        os.sync()
-        replace(store.scratch, store.root / marker.NAME, changed(present, upgrading=False).as_bytes())
-        store.scratch.leave()
+        if refusal is not None:
+            _refuse_company(store)
+            try:
+                _carry(store, found, done, progress or _silently)
+            finally:
+                store.scratch.leave()
         return done
+
+
+def _carry(store: Store, found: Marker, done: Upgraded, progress: Progress) -> None:
+    path = store.root / marker.NAME
+    present = Marker(found.format, found.id or secrets.token_hex(16), upgrading=True)
+    for step in range(found.format, FORMAT):
+        present = changed(present, format=step)
+        replace(store.scratch, path, present.as_bytes())
+        STEPS[step](store, done, progress)
+        os.sync()  # a step is on the disk before the store says that it is done
+    replace(store.scratch, path, changed(present, format=FORMAT, upgrading=False).as_bytes())
 
 
 def _silently(things: Iterable[Any], count: int, label: str) -> Iterable[Any]:

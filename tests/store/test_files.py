@@ -330,7 +330,7 @@ def test_what_a_disk_refuses_is_a_sentence(code: int, said: str, tmp_path: Path)
 
 @contextlib.contextmanager
 def limited(script: str, store: Path) -> Iterator[subprocess.CompletedProcess[str]]:
-    command = f"{script}; exec {sys.executable} -m cli.main --store {store} run --session ball"
+    command = f"{script}; exec {sys.executable} -m cli.main --store {store} run register --session ball"
     yield subprocess.run(
         ["bash", "-c", command], cwd=REPOSITORY, capture_output=True, text=True, timeout=120, check=False
     )
