@@ -184,8 +184,8 @@ def read_result(plan: "Plan", path: Path) -> "Result":
 def keep_item(content: Mapping[str, Any], session: "Session", store: Store) -> "tuple[Item, Path]":
     """Write an item and its pictures into a scratch folder, check it as any other, and keep it in the store."""
     import cv2
-    import yaml
 
+    from store import document
     from store.calibration import put_item, read_item
 
     folder = store.scratch.path()
@@ -203,7 +203,7 @@ def keep_item(content: Mapping[str, Any], session: "Session", store: Store) -> "
         plain["valid_from"] = session.facts["captured"]
     plain["measured_from"] = session.name
     path = folder / f"{plain['item']}.yaml"
-    path.write_text(yaml.safe_dump(plain, sort_keys=False, default_flow_style=None, width=110), encoding="utf-8")
+    path.write_text(document.text_of(plain), encoding="utf-8")
     item, original = read_item(path, store.chunks)
     put_item(item, original, store)
     return item, folder

@@ -19,7 +19,7 @@ from collections.abc import Sequence  # noqa: E402
 from importlib import import_module  # noqa: E402
 from typing import Any, NoReturn  # noqa: E402
 
-from cli.show import Screen  # noqa: E402
+from cli.show import Screen, written  # noqa: E402
 from hw.compiled import folder, offer  # noqa: E402
 from store.errors import (  # noqa: E402
     DamagedChunkError,
@@ -53,6 +53,11 @@ class _Parser(argparse.ArgumentParser):
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options, allow_abbrev=False)
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        # argparse keeps silent where its help cannot be written
+        with written():
+            print(message, end="", file=file)
 
     def error(self, message: str) -> NoReturn:
         command = self.prog.removeprefix("lightstage").strip()
@@ -140,6 +145,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _command(words: Sequence[str], screen: Screen) -> int:
+    for word in words:
+        if re.fullmatch(r"--[\w-]+=--", word):  # of which argparse makes an empty list
+            raise RequestError(f"{word}: '--' is no value")
     try:
         options = build_parser().parse_args(words)
     except SystemExit as done:  # --help and --version have said what was asked for

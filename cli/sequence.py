@@ -370,7 +370,7 @@ def _read(words: Sequence[str]) -> tuple[tuple[str, ...], float | None]:
     from store.capture import Frame
 
     path = Path(os.path.expanduser(words[0]))
-    if len(words) > 1 or not path.exists() or re.fullmatch(r"C|[XYZ]c?|L[0-9]{1,6}|T[0-3]|O", words[0]):
+    if len(words) > 1 or not os.path.exists(path) or re.fullmatch(r"C|[XYZ]c?|L[0-9]{1,6}|T[0-3]|O", words[0]):
         if len(words) == 1 and ("/" in words[0] or words[0].endswith((".yaml", ".yml"))):
             raise RequestError(f"{path} is missing: expected a sequence, a capture.yaml or a capture folder")
         return parse(" ".join(words)), None
@@ -388,7 +388,7 @@ def _read(words: Sequence[str]) -> tuple[tuple[str, ...], float | None]:
 
 def _plan_file(document: dict[str, Any], starts: Sequence[float] | None) -> str:
     """A part of capture.yaml, with the plan in comments above it, because a capture has no key for a plan."""
-    import yaml
+    from store.document import text_of
 
     exposures = document.get("exposures", [])
     names = document["sequence"]
@@ -425,8 +425,7 @@ def _plan_file(document: dict[str, Any], starts: Sequence[float] | None) -> str:
     for i, one in enumerate(exposures):
         when = "" if starts is None else f" at {starts[i]:.6f} s"
         comments.append(f"  {one['band_nm']:g} nm {one['illumination']}{when}")
-    text: str = yaml.safe_dump(part, sort_keys=False, default_flow_style=None, width=110)
-    return "".join(f"# {line}\n" for line in comments) + text
+    return "".join(f"# {line}\n" for line in comments) + text_of(part)
 
 
 def _write(path: Path, text: str) -> None:

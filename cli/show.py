@@ -32,7 +32,7 @@ class Screen:
 
     def flush(self) -> None:
         """Everything that was said is written, or this says that it is not."""
-        with _written():
+        with written():
             if sys.stdout is not None:
                 sys.stdout.flush()
 
@@ -44,7 +44,7 @@ class Screen:
             os.close(nothing)
 
     def _print(self, text: str) -> None:
-        with _written():
+        with written():
             print(text)
 
     def warn(self, text: str) -> None:
@@ -92,7 +92,12 @@ class Screen:
 
 
 @contextlib.contextmanager
-def _written() -> Iterator[None]:
+def written() -> Iterator[None]:
+    """What cannot be written to stdout is a failure with a name.
+
+    Raises:
+        WorkError: the disk that it goes to is full, for instance.
+    """
     try:
         yield
     except BrokenPipeError:

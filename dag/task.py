@@ -224,7 +224,9 @@ def _write(
                 f"{dtype}{shape}"
             )
         written[name] = tuple(store.chunks.put(part) for part in array.reshape(-1, *chunk))
-    stats = {name: float(value) for name, value in outputs.get("stats", {}).items()}
+    # a figure that a block does not tell is NaN to the kernel, and not said of the result
+    told = outputs.get("stats", {}).items()
+    stats = {name: float(value) for name, value in told if np.isfinite(value)}
     return written, stats, tuple(outputs.get("warnings", ()))
 
 

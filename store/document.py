@@ -121,6 +121,17 @@ def scalar(text: str) -> Any:
     return parse(text, name="value").value
 
 
+def text_of(value: Any) -> str:
+    """A value as YAML that `parse` reads: written out, also where the same object stands in it twice."""
+    text: str = yaml.dump(value, Dumper=_Plain, sort_keys=False, default_flow_style=None, width=110)
+    return text
+
+
+class _Plain(yaml.SafeDumper):
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+
 def short(value: object) -> str:
     """As a message shows it: the beginning of what is long."""
     text = str(value)
