@@ -1,13 +1,5 @@
-"""matplotlib, as every command uses it: no window, the same look for everybody, nothing written to the user's home.
+"""matplotlib, as every command uses it: no window, and nothing written to the user's home."""
 
-matplotlib makes a folder of settings and a list of fonts in the home. Here it gets a folder that lasts as long as
-the process, so the settings that somebody keeps there do not change our figures either.
-"""
-
-import atexit
-import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -16,42 +8,21 @@ from typing import Any
 @cache
 def pyplot() -> Any:
     """`matplotlib.pyplot`, for files."""
-    with _own_folder():
-        import matplotlib
+    _matplotlib().use("Agg")
+    import matplotlib.pyplot
 
-        matplotlib.use("Agg")
-        import matplotlib.pyplot
-
-        return matplotlib.pyplot
+    return matplotlib.pyplot
 
 
 def fonts() -> Path:
     """The folder of the fonts that matplotlib brings."""
-    with _own_folder():
-        import matplotlib
-
-        return Path(matplotlib.get_data_path(), "fonts", "ttf")
+    return Path(_matplotlib().get_data_path(), "fonts", "ttf")
 
 
-@cache
-def _folder() -> str:
-    import shutil
-    import tempfile
+def _matplotlib() -> Any:
+    from hw.home import spare_home
 
-    folder = tempfile.mkdtemp(prefix="lightstage-")
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    return folder
+    spare_home()
+    import matplotlib
 
-
-@contextmanager
-def _own_folder() -> Iterator[None]:
-    before = os.environ.get("MPLCONFIGDIR")
-    os.environ["MPLCONFIGDIR"] = _folder()
-    try:
-        yield
-    finally:
-        # the processes that this one starts have no such folder
-        if before is None:
-            del os.environ["MPLCONFIGDIR"]
-        else:
-            os.environ["MPLCONFIGDIR"] = before
+    return matplotlib

@@ -40,8 +40,10 @@ that a stage calls; they count in its key.
 from collections.abc import Mapping
 
 from hw.compiled import keep
+from hw.home import spare_home
 
 keep()
+spare_home()
 
 TABLE: Mapping[str, str] = {
     "capture": "stages.capture",
