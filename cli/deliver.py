@@ -15,6 +15,9 @@ from typing import Any
 
 from store.digest import digest_bytes
 from store.errors import RequestError, WorkError
+from store.intake import read_regular
+
+_LARGEST_RECORD = 64 << 20
 
 
 def noted(picture: Path, shown: str) -> str:
@@ -63,7 +66,7 @@ class Delivery:
         if not path.exists():
             return {}, None
         try:
-            record = json.loads(path.read_text(encoding="utf-8"))
+            record = json.loads(read_regular(path, _LARGEST_RECORD))
             listed = {str(name): str(entry["digest"]) for name, entry in record["files"].items()}
             return listed, str(record["session"])
         except (OSError, ValueError, KeyError, TypeError, AttributeError):

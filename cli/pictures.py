@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from store.errors import RequestError
+from store.intake import FileError, open_regular
 
 if TYPE_CHECKING:
     import numpy as np
@@ -25,6 +26,9 @@ REC709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
 """Red, green, blue and white, x and y each."""
 WIDEST = 1024
 """Columns of an environment; wider maps are averaged down to about this, finer than the lights made of them."""
+WIDEST_READ = 16384
+LARGEST_READ = 800 << 20
+"""Bytes of an environment; 11,500 x 5,750 pixels of three channels are 794 MB, more than lights are made of."""
 _PRIMARIES_OFF = 0.002
 
 
@@ -118,8 +122,11 @@ def read_environment(path: Path) -> "NDArray[np.float32]":
     import numpy as np
 
     name = f"--environment {path}"
-    if not path.is_file():
-        raise RequestError(f"{name}: there is no such file; give a .hdr or .exr map in latitude and longitude")
+    try:
+        with open_regular(path):
+            pass  # OpenImageIO opens it by its name
+    except FileError as error:
+        raise RequestError(f"{name} {error}; give a .hdr or .exr map in latitude and longitude") from None
     values, attributes = _pixels(path, name)
     height, width = values.shape[:2]
     if width != 2 * height:
@@ -160,10 +167,19 @@ def _pixels(path: Path, name: str) -> "tuple[NDArray[np.float32], dict[str, Any]
             raise RequestError(
                 f"{name} holds {spec.format}, which ends at white; radiance needs floating point, .hdr or .exr"
             )
+        if max(spec.width, spec.height) > WIDEST_READ:
+            raise RequestError(
+                f"{name} declares {spec.width} x {spec.height} pixels; a side has at most {WIDEST_READ}"
+            )
         wanted = [channels.index(c) for c in "RGB"] if set("RGB") <= set(channels) else [0, 0, 0]
         if wanted == [0, 0, 0] and len(channels) > 2:
             raise RequestError(f"{name} has channels {', '.join(channels)}; expected R, G, B, or one grey channel")
-        values = source.read_image("float")
+        first, beyond = min(wanted), max(wanted) + 1
+        if spec.width * spec.height * (beyond - first) * 4 > LARGEST_READ:
+            raise RequestError(
+                f"{name} declares {spec.width} x {spec.height} pixels; at most {LARGEST_READ >> 20} MiB are read"
+            )
+        values = source.read_image(0, 0, first, beyond, "float")
         if values is None:
             raise RequestError(f"{name} is damaged or cut short ({source.geterror().splitlines()[0]})")
         attributes = {entry.name: entry.value for entry in spec.extra_attribs}
@@ -174,8 +190,10 @@ def _pixels(path: Path, name: str) -> "tuple[NDArray[np.float32], dict[str, Any]
             f"{name} holds {spec.width} x {spec.height} pixels of {spec.full_width} x {spec.full_height}; "
             "a whole map is needed"
         )
-    shaped = np.asarray(values, np.float32).reshape(spec.height, spec.width, len(channels))
-    return shaped[..., wanted], attributes
+    shaped = np.asarray(values, np.float32).reshape(spec.height, spec.width, beyond - first)
+    return shaped if wanted == [first, first + 1, first + 2] else shaped[
+        ..., np.subtract(wanted, first)
+    ], attributes
 
 
 def _check_colour(attributes: Mapping[str, Any], name: str) -> None:

@@ -4,6 +4,7 @@
 description promises which file holds it and what it must look like.
 """
 
+import io
 import os
 import re
 import string
@@ -18,7 +19,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validat
 
 from store import document
 from store.errors import RequestError, raise_all
-from store.picture import EXTENSIONS, Picture, PictureError, decode, linear_from_srgb
+from store.picture import EXTENSIONS, Picture, PictureError, declared, decode, linear_from_srgb
 
 ILLUMINATION = re.compile(r"C|[XYZ]c?|L[0-9]{1,6}|T[0-3]|O")
 SESSION_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
@@ -301,10 +302,11 @@ class Capture:
             PictureError: it is not the kind of picture that the description declares.
         """
         d = self.description
-        picture = decode(data)
-        channels = 1 if picture.ndim == 2 else picture.shape[2]
         wanted = 3 if d.colour == "rgb" else 1
-        if channels != wanted:
+        said = declared(io.BytesIO(data)).channels
+        picture = decode(data) if said == wanted else None
+        channels = said if picture is None else 1 if picture.ndim == 2 else picture.shape[2]
+        if picture is None or channels != wanted:
             raise PictureError(f"has {channels} channel(s); colour: {d.colour} means {wanted}")
         depth = picture.dtype.itemsize * 8
         if depth < d.bits_per_file:

@@ -24,13 +24,13 @@ EXTENSIONS = (".png", ".tif", ".tiff")
 WIDEST_PX = 16384
 """Of either side; the largest sensors have 14204 x 10652."""
 LARGEST = 640 << 20
-"""Bytes of values; 100 megapixels of 16-bit colour are 610 MB."""
+"""Bytes of values of 16 bits; 100 megapixels of colour are 610 MB."""
 LARGEST_FILE = 1 << 30
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 _TIFF = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
-_PNG_CHANNELS = {0: 1, 2: 3, 3: 4, 4: 4, 6: 4}
-"""By colour type, as decoded; a palette may have alpha, and OpenCV makes four of grey with alpha."""
+_PNG_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}
+"""By colour type; a palette's colours count."""
 _NONE, _LZW, _DEFLATE, _PACKBITS = (1,), (5,), (8, 32946), (32773,)
 _PHOTOMETRICS = {
     0: "counts from white (MINISWHITE); save it so that 0 is black",
@@ -61,7 +61,6 @@ class Declared:
     height: int
     width: int
     channels: int
-    """At most: a palette may have alpha or not."""
     bits: int
 
     @property
@@ -71,8 +70,8 @@ class Declared:
 
     @property
     def size(self) -> int:
-        """Bytes of the values, decoded."""
-        return self.height * self.width * self.channels * ((self.bits + 7) // 8)
+        """Bytes of the values, in the 16 bits that they get."""
+        return self.height * self.width * self.channels * 2
 
 
 def declared(file: BinaryIO) -> Declared:
@@ -116,7 +115,7 @@ def _sane(promised: Declared) -> Declared:
         raise PictureError(f"declares {width} x {height} pixels; a side has at most {WIDEST_PX}")
     if promised.size > LARGEST:
         raise PictureError(
-            f"declares {width} x {height} pixels of {promised.channels} x {promised.bits} bits, "
+            f"declares {width} x {height} pixels of {promised.channels} channel(s), "
             f"{promised.size >> 20} MiB; at most {LARGEST >> 20} are read"
         )
     return promised

@@ -3,6 +3,8 @@
 import csv
 import io
 import json
+import os
+import re
 import struct
 import subprocess
 import sys
@@ -294,6 +296,16 @@ def test_a_wide_map_keeps_its_light(tmp_path: Path) -> None:
     assert made[150, 350, 0] > 0
 
 
+def pipe(file: Path) -> Path:
+    os.mkfifo(file)
+    return file
+
+
+def declaring(file: Path, width: int, height: int) -> Path:
+    file.write_bytes(re.sub(rb"-Y \d+ \+X \d+", b"-Y %d +X %d" % (height, width), file.read_bytes()))
+    return file
+
+
 def damaged(file: Path, *, keep: float) -> Path:
     data = file.read_bytes()
     file.write_bytes(data[: int(keep * len(data))])
@@ -303,7 +315,9 @@ def damaged(file: Path, *, keep: float) -> Path:
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (lambda p: p / "none.hdr", "there is no such file"),
+        (lambda p: p / "none.hdr", "none.hdr is missing"),
+        (lambda p: pipe(p / "a.hdr"), "is a pipe; a file is expected"),
+        (lambda p: declaring(write_hdr(p / "a.hdr", white()), 60000, 30000), "is no picture that can be read"),
         (lambda p: write_hdr(p / "a.hdr", np.ones((16, 30, 3))), "is 30 x 16; a map in latitude and"),
         (lambda p: damaged(write_hdr(p / "a.hdr", white()), keep=0.5), "is damaged or cut short"),
         (lambda p: damaged(write_map(p / "a.exr", noise()), keep=0.7), "is damaged or cut short"),
@@ -324,6 +338,15 @@ def test_wrong_environments(tmp_path: Path, make: Callable[[Path], Path], said: 
     assert "\n" not in str(refused.value)
 
 
+@pytest.mark.parametrize(("limit", "said"), [("WIDEST_READ", "a side has at most 8"), ("LARGEST_READ", "MiB are")])
+def test_an_environment_out_of_all_measure_is_not_decoded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit: str, said: str
+) -> None:
+    monkeypatch.setattr(f"cli.pictures.{limit}", 8)
+    with pytest.raises(RequestError, match=said):
+        read_environment(write_map(tmp_path / "a.exr", white()))
+
+
 def test_eight_bits_are_no_radiance(tmp_path: Path) -> None:
     assert cv2.imwrite(str(tmp_path / "a.png"), np.zeros((16, 32, 3), np.uint8))
     with pytest.raises(RequestError, match="holds uint8, which ends at white"):
@@ -341,7 +364,7 @@ def test_eight_bits_are_no_radiance(tmp_path: Path) -> None:
         (("--led", "L99"), "--led L99: the rig has no light 'L99'"),
         (("--led", "L07", "--rotate", "20"), "--rotate 20: only an environment has it"),
         (("--led", "L07", "--exposure", "0"), "--exposure 0: expected a factor above 0"),
-        (("--environment", "gone.hdr"), "--environment gone.hdr: there is no such file"),
+        (("--environment", "gone.hdr"), "--environment gone.hdr is missing"),
         (("--environment", "gone.hdr", "--turn", "1"), "--turn 1: a film has 2 to 1000 steps"),
         (("--environment", "gone.hdr", "--samples", "0"), "--samples 0: 1 to 10000 lights"),
         (("--led", "L07", "--tracking", "3"), "has no tracking frame 3; it has 0"),

@@ -244,7 +244,7 @@ ROWS_OF_8 = part(b"IDAT", zlib.compress(bytes(5 * 8)))
     ("data", "message"),
     [
         (png(60000, 60000, 16, 0, ROWS_OF_8), "declares 60000 x 60000 pixels; a side has at most 16384"),
-        (png(16000, 16000, 16, 6, ROWS_OF_8), "pixels of 4 x 16 bits, 1953 MiB; at most 640 are read"),
+        (png(16000, 16000, 16, 6, ROWS_OF_8), "pixels of 4 channel(s), 1953 MiB; at most 640 are read"),
         (png(0, 4, 8, 0, ROWS_OF_8), "there is no picture in it"),
         (png(4, 8, 8, 9, ROWS_OF_8), "colour type 9 does not exist"),
         (png(4, 9, 8, 0, ROWS_OF_8), "its values are damaged or cut short"),
