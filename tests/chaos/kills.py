@@ -10,15 +10,16 @@ import random
 import re
 import shutil
 import subprocess
+import tarfile
 import time
 from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from tests.chaos.bench import Bench, Command, Trial, files_of, results, tree
+from tests.chaos.bench import REPOSITORY, Bench, Command, Trial, files_of, results, tree
 from tests.chaos.outcome import UnclearError, WrongError
 
-TRIALS = 63
+TRIALS = 64
 CALLS = (
     "openat,write,pwrite64,fsync,fdatasync,rename,renameat,renameat2,link,linkat,unlink,unlinkat,mkdir,mkdirat,"
     "symlink,symlinkat,rmdir,utimensat,ftruncate,close,newfstatat,getdents64,copy_file_range,sendfile"
@@ -37,7 +38,7 @@ DURABLE = (
     "rmdir",
 )
 
-OPERATIONS = ("import", "run", "use", "gc", "verify", "remove", "import again")
+OPERATIONS = ("import", "run", "use", "gc", "verify", "remove", "import again", "upgrade")
 
 
 def kind(seed: int) -> str:
@@ -71,6 +72,10 @@ def prepare(made: Trial, operation: str) -> tuple[Any, ...]:
     """The store before an operation, and its words."""
     if operation == "import":
         return ("import", made.bench.capture)
+    if operation == "upgrade":
+        with tarfile.open(REPOSITORY / "tests" / "data" / "store-1.tar.xz") as old:
+            old.extractall(made.room, filter="data")
+        return ("upgrade",)
     if operation == "run":
         made.take_store(made.bench.imported)
         return ("run", *made.options)
@@ -104,9 +109,9 @@ def again(made: Trial, operation: str, words: tuple[Any, ...], said: str) -> Non
         answer = made.command(*words).clear()
         if answer.code == 2 and operation != "remove":
             raise UnclearError(f"{said}; done again: {answer}")
-    if operation == "remove":
+    if operation in ("remove", "upgrade"):
         made.command("import", made.bench.capture).done()
-    made.run().clear().done()
+    made.run().done()
     made.command("verify").done()
     made.command("gc", "--grace", "0s").done()
     found, wanted = results(made.store), _reference(made, operation)
@@ -129,7 +134,7 @@ def _reference(made: Trial, operation: str) -> dict[str, Any]:
         other = Trial(bench, room, made.seed)
         words = prepare(other, operation)
         other.command(*words).clear()
-        if operation == "remove":
+        if operation in ("remove", "upgrade"):
             other.command("import", bench.capture).done()
         other.run().done()
         other.command("gc", "--grace", "0s").done()
