@@ -427,12 +427,12 @@ a second result under one key that differs by no more is no fault. `make test-pr
 | numba narrower | 0e+00 | 0e+00 | 0.0000% | - |
 
 What is left comes from OpenCV's remap in float32, its blurs, and the order of sums. Not settled are
-another BLAS, which is left as the machine sets it (4e-7 at most, in reflectance and pigments), another mathematics library
+another BLAS, which is left as the machine sets it, another mathematics library
 of the system, and the virtual rig's own pictures, in which a count may round to the next.
 
-A performance is not as tight yet: the flow of `align` is the end of a descent in float32. On a slow head of 128 x 96 numpy's
-instructions move normals by 7e-6 degrees, numba's move the flow by up to 1e-4 and normals by 0.0024 degrees, OpenCV's by 3e-4
-and 0.0033 degrees; the flow's own error is some hundredths of a pixel.
+A performance is not as tight yet: `align` moves pictures along a flow found by descent, much of it in float32. On a slow head
+of 128 x 96 numpy's instructions move upsampled normals by 7e-6 degrees; numba's move the flow by up to 1e-4 of itself and
+normals by 0.0024 degrees, OpenCV's by 3e-4 and 0.0033 degrees.
 """
 
 if __name__ == "__main__":
