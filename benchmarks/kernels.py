@@ -23,7 +23,7 @@ from stages.spherical_gradients import FILL, GRADIENTS, STEPS, Normals, solve, t
 
 SHAPE = (1236, 1624)
 THESIS_SECONDS = 1.78 * 3600
-"""Dutta (2010) 3.5.4: MATLAB's quadprog, one 1624 x 1236 map, 3 GHz Core 2 Duo."""
+"""Dutta (2010) 4.4.5: MATLAB's quadprog, one 1624 x 1236 map, 3 GHz Core 2 Duo."""
 Array = NDArray[Any]
 SIX = tuple(GRADIENTS)
 SEVEN = (*GRADIENTS, "C")

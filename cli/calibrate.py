@@ -4,7 +4,7 @@ import argparse
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from cli.run import versions
 from cli.show import RunWatcher, Screen
@@ -14,9 +14,13 @@ from store.root import Store
 
 if TYPE_CHECKING:
     from dag.plan import Plan
-    from dag.stage import Result
+    from dag.stage import Finding, Result
     from store.calibration import Item
     from store.sessions import Session
+
+_MOVED_PX, _MOVED_MM = 0.1, 10.0
+"""What a camera or a light may move between two calibrations before somebody should look: a homography must be good
+to a tenth of a pixel, and 10 mm is twice the play of a light in its mount."""
 
 ITEMS = ("lights", "camera", "homography", "dark", "flat", "bands", "synchronisation", "polarisers")
 
@@ -34,6 +38,11 @@ def configure(commands: Any) -> None:
     )
     measure.add_argument("--session", metavar="NAME", help="another name than the one in capture.yaml")
     measure.add_argument("--outline", metavar="'X,Y ...'", help="points on the ball's outline, picked by hand")
+    measure.add_argument(
+        "--driven-from",
+        choices=("ideal", "measured"),
+        help="lights: whether the rig's weights were made from the layout (default) or from measured positions",
+    )
     measure.add_argument("--set", action="append", default=[], metavar="NODE.PARAM=VALUE", dest="overrides")
     measure.add_argument(
         "--calibration", action="append", default=[], metavar="KIND=FILE", help="use this item for this run"
@@ -75,7 +84,7 @@ def handle_calibrate(options: argparse.Namespace, screen: Screen) -> int:
     if stage.item is not None:
         content = stage.item(result)
         item, folder = keep_item(content, session, store)
-        verdict += changes_since(item, store)
+        verdict += changes_since(item, session.shape, store)
         screen.say(f"{item.name}: `lightstage calibration use {item.name} --session S` binds it")
         if options.out is not None:
             written = _write_out(folder, options.out)
@@ -83,8 +92,8 @@ def handle_calibrate(options: argparse.Namespace, screen: Screen) -> int:
         shutil.rmtree(folder, ignore_errors=True)
     elif options.out is not None:
         screen.warn(f"{options.item} is a check, not an item: nothing to write to {options.out}; try --report")
-    for sentence in verdict:
-        screen.say(sentence)
+    for finding in verdict:
+        screen.say(finding.sentence)
     report = None
     if options.report is not None:
         report = options.report if options.report.name else Path(f"{session.name}-{options.item}.html")
@@ -96,7 +105,8 @@ def handle_calibrate(options: argparse.Namespace, screen: Screen) -> int:
             "session": session.name,
             "item": None if item is None else item.name,
             "nodes": nodes,
-            "verdict": verdict,
+            "verdict": [finding.sentence for finding in verdict],
+            "severities": [finding.severity for finding in verdict],
             "out": None if written is None else str(written),
             "report": None if report is None else str(report),
         }
@@ -123,6 +133,10 @@ def _plan(options: argparse.Namespace, session: "Session", given: "Mapping[str, 
     overrides = list(options.overrides)
     if options.outline:
         overrides.append(f"outline.points='{options.outline}'")
+    if options.driven_from:
+        if options.item != "lights":
+            raise RequestError(f"--driven-from is for `calibrate lights`; {options.item} has no weights")
+        overrides.append(f"lights.driven_from={options.driven_from}")
     graph = load_graph(pipeline_path(options.pipeline), TABLE, overrides=overrides)
     if options.item not in graph.nodes:
         raise RequestError(f"{graph.source} has no node '{options.item}'")
@@ -212,8 +226,9 @@ def _write_out(folder: Path, out: Path) -> Path:
     return target
 
 
-def changes_since(item: "Item", store: Store) -> list[str]:
-    """What has moved since the last item of this kind and rig."""
+def changes_since(item: "Item", shape: tuple[int, int], store: Store) -> "list[Finding]":
+    """What has moved since the last item of this kind and rig; `shape` is that of the pictures (rows, columns)."""
+    from dag.stage import Finding
     from store.calibration import all_items
 
     others = [
@@ -230,9 +245,9 @@ def changes_since(item: "Item", store: Store) -> list[str]:
     last = max(dated, key=lambda other: str(other.notes["valid_from"]))
     since = f"since {str(last.notes['valid_from'])[:10]}"
     if item.kind == "homography" and last.values["from"] == item.values["from"]:
-        return [
-            f"{item.values['from']} moved {_shift_px(last.values['matrix'], item.values['matrix']):.2f} px {since}"
-        ]
+        shift = shift_px(last.values["matrix"], item.values["matrix"], shape)
+        severity: Literal["good", "doubtful"] = "doubtful" if shift > _MOVED_PX else "good"
+        return [Finding(severity, f"{item.values['from']} moved {shift:.2f} px {since}")]
     if item.kind == "lights":
         before = {light["id"]: light for light in last.values["lights"]}
         moved = []
@@ -242,18 +257,18 @@ def changes_since(item: "Item", store: Store) -> list[str]:
                 way = (
                     sum((a - b) ** 2 for a, b in zip(old["position_mm"], light["position_mm"], strict=True)) ** 0.5
                 )
-                if way > 10:
-                    moved.append(f"{light['id']} moved {way:.0f} mm {since}")
+                if way > _MOVED_MM:
+                    moved.append(Finding("doubtful", f"{light['id']} moved {way:.0f} mm {since}"))
         return moved
     return []
 
 
-def _shift_px(before: Sequence[Sequence[float]], now: Sequence[Sequence[float]]) -> float:
-    """Mean distance between two homographies' images of a picture's points, about where both map the middle."""
+def shift_px(before: Sequence[Sequence[float]], now: Sequence[Sequence[float]], shape: tuple[int, int]) -> float:
+    """Mean distance between two homographies' images of a picture of `shape` (rows, columns), px."""
     import numpy as np
 
     a, b = np.asarray(before), np.asarray(now)
-    x, y = np.meshgrid(np.linspace(0, 400, 9), np.linspace(0, 300, 7))
+    x, y = np.meshgrid(np.linspace(0, shape[1] - 1, 9), np.linspace(0, shape[0] - 1, 7))
     points = np.stack([x.ravel(), y.ravel(), np.ones(x.size)])
     p, q = a @ points, b @ points
     return float(np.linalg.norm(p[:2] / p[2] - q[:2] / q[2], axis=0).mean())

@@ -17,24 +17,21 @@ from store.root import Store
 
 if TYPE_CHECKING:
     from dag.plan import Plan
-    from dag.stage import Result
+    from dag.stage import Finding, Result
 
 _STYLE = """
 body { font: 16px/1.45 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; color: #222; }
 h1 { font-size: 1.5rem; } h2 { font-size: 1.1rem; margin-top: 2rem; }
-li.look { color: #9a3412; } li { margin: .25rem 0; }
+li.doubtful { color: #9a3412; } li.bad { color: #b91c1c; font-weight: 600; } li { margin: .25rem 0; }
 img { max-width: 100%; border: 1px solid #ddd; } figcaption { color: #555; font-size: .9rem; }
 table { border-collapse: collapse; font-size: .9rem; } td, th { padding: .15rem .7rem; text-align: right; }
 th { border-bottom: 1px solid #999; } td:first-child, th:first-child { text-align: left; }
 """
-_ATTENTION = (
-    "not seen", "swapped", "wrong", "saturated", "cut by", "moved", "parallax", "distort", "off its place",
-    "shifted", "missing", "repeats", "too weak", "strike", "no place", "add ", "cannot", "nominal", "no dark",
-    "twice",
-)  # fmt: skip
 
 
-def write_report(path: Path, item: str, plan: "Plan", result: "Result", verdict: list[str], store: Store) -> None:
+def write_report(
+    path: Path, item: str, plan: "Plan", result: "Result", verdict: "list[Finding]", store: Store
+) -> None:
     """Write the page.
 
     Raises:
@@ -51,10 +48,7 @@ def write_report(path: Path, item: str, plan: "Plan", result: "Result", verdict:
         f"{html.escape(str(session.facts['captured'] or 'at an unknown time'))}; {session.sizes['frame']} frames "
         f"of {session.shape[1]} x {session.shape[0]}; stage recipe {plan.nodes[item].recipe}.</p>",
         "<h2>Verdict</h2><ul>",
-        *(
-            f"<li{' class=look' if any(word in line for word in _ATTENTION) else ''}>{html.escape(line)}</li>"
-            for line in verdict
-        ),
+        *(f"<li class={finding.severity}>{html.escape(finding.sentence)}</li>" for finding in verdict),
         "</ul>",
     ]
     for title, caption, figure in figures:

@@ -45,6 +45,9 @@ def configure(commands: Any) -> None:
         f"happens, and at least {film.SLOWEST_FPS:g})",
     )
     export.add_argument(
+        "--pipeline", type=Path, metavar="FILE", help="default: ./pipeline.yaml, or the packaged one"
+    )
+    export.add_argument(
         "--every", type=whole, metavar="N", help="a mesh's vertices are every Nth pixel (default: 1)"
     )
     export.add_argument(
@@ -70,6 +73,7 @@ class Plane:
 
 def handle_export(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage export."""
+    from cli.look import brings_in
     from store.grid import open_dataset
     from store.results import current_path
     from store.sessions import raw_group, read_session
@@ -86,7 +90,7 @@ def handle_export(options: argparse.Namespace, screen: Screen) -> int:
     space = mesh.map_space(options.format, options.normal_map) if meshes else None
     store = Store(options.store, create=False)
     session = read_session(options.session, store)
-    if options.node == "capture":
+    if brings_in(session.name, options.node, store, options.pipeline):
         path = raw_group(session, store)
     else:
         path = current_path(session.name, options.node, store)

@@ -30,6 +30,7 @@ def configure(commands: Any) -> None:
     path = commands.add_parser("path", help="print where a node's result is, and nothing else")
     path.add_argument("node", metavar="NODE")
     add_session_options(path)
+    path.add_argument("--pipeline", type=Path, metavar="FILE", help="default: ./pipeline.yaml, or the packaged one")
     path.set_defaults(handler=handle_path)
 
 
@@ -150,10 +151,28 @@ def handle_path(options: argparse.Namespace, screen: Screen) -> int:
 
     store = Store(options.store, create=False)
     read_session(options.session, store)
-    if options.node == "capture":
+    if brings_in(options.session, options.node, store, options.pipeline):
         path = store.sessions / options.session / "raw.zarr"
     else:
         path = current_path(options.session, options.node, store)
     screen.say(str(path))
     screen.document({"path": str(path)})
     return 0
+
+
+def brings_in(session: str, node: str, store: Store, pipeline: Path | None) -> bool:
+    """Whether a node without a result is one that brings in the session, whatever it is called."""
+    from store.results import current
+
+    return current(session, node, store) is None and node in _source_nodes(pipeline)
+
+
+def _source_nodes(pipeline: Path | None) -> list[str]:
+    """The nodes of a pipeline that read no other."""
+    from store import document
+
+    entries = document.load(pipeline_path(pipeline), what="a pipeline").value
+    nodes = entries.get("stages") if isinstance(entries, dict) else None
+    if not isinstance(nodes, dict):
+        return []
+    return [name for name, entry in nodes.items() if isinstance(entry, dict) and not entry.get("from")]

@@ -13,7 +13,7 @@ index; every other dimension is whole within a task. How a block maps to its inp
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict
 
@@ -136,6 +136,14 @@ class Result:
     """Values of the items that are bound."""
 
 
+class Finding(NamedTuple):
+    """What somebody who acts on a result should know."""
+
+    severity: Literal["good", "doubtful", "bad"]
+    """good: as it should be, or a plain number; doubtful: usable, look at it; bad: do not use it as it is."""
+    sentence: str
+
+
 @dataclass(frozen=True)
 class Stage:
     """A node type.
@@ -171,8 +179,8 @@ class Stage:
     """The names that `context` (or `prepare`, when there is one) gives to the kernel."""
     item: Callable[[Result], Mapping[str, Any]] | None = None
     """The calibration item that a result is; an entry that is an array (y, x) is one of its pictures."""
-    verdict: Callable[[Result], list[str]] | None = None
-    """What somebody who acts on the result should know, a sentence each."""
+    verdict: Callable[[Result], list[Finding]] | None = None
+    """What somebody who acts on the result should know."""
 
     @property
     def is_source(self) -> bool:

@@ -421,8 +421,7 @@ def _context(
 ) -> Mapping[str, Any]:
     camera = lights = None
     if labels["surface"]:
-        fields = ("id", "position_mm", "direction", "drive_position", "power")
-        lights = {"lights": [{k: light[k] for k in fields} for light in items["lights"]["lights"]]}
+        lights = Lights.part_of(items["lights"])
         camera = {name: items["camera"][name] for name in ("size_px", "K", "distortion", "world_to_camera")}
     told = {name: labels[name] for name in ("names", "absolute", "shape")}
     return {**told, "camera": camera, "lights": lights}

@@ -15,7 +15,7 @@ the pictures as they are.
 Must have run before: align or stack. Limits: without `correct` lights are taken as distant and unoccluded, so near
 light, shadows and inter-reflection stay in the result (docs/accuracy.md measures them).
 
-Sources: Ma et al. (2007), Wilson et al. (2010), Dutta (2010) chapter 3, Woodham (1980).
+Sources: Ma et al. (2007), Wilson et al. (2010), Dutta (2010) chapter 4, Woodham (1980).
 """
 
 from collections.abc import Mapping, Sequence
@@ -336,6 +336,11 @@ def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: NormalsPar
     modelled = correct in RIG_MODELS
     if modelled and component == "specular":
         raise StageError(f"correct: {correct} is a model of diffuse light; set component: diffuse")
+    if correct == "qp" and component == "specular":
+        raise StageError(
+            "correct: qp has the constants of the diffuse lobe (1/3), and a specular lobe's depend on its "
+            "roughness; set correct: none, or component: diffuse"
+        )
     if params.filter == "surface" and correct not in RIG_MODELS[1:]:
         raise StageError("filter: surface needs a depth; set correct: near, near+shadows or full")
     height, width = stacked.sizes["y"], stacked.sizes["x"]

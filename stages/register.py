@@ -10,7 +10,7 @@ one camera from the other. Then mount and homography together move each pixel on
 Must have run before: capture. Limits: one homography for the whole picture, so parallax between the cameras
 stays; hot pixels are not interpolated.
 
-Source: Dutta (2010) 2.3.3; Hartley & Zisserman (2004) for the homography's convention.
+Source: Dutta (2010) 3.2.3; Hartley & Zisserman (2004) for the homography's convention.
 """
 
 from collections.abc import Mapping, Sequence

@@ -217,11 +217,10 @@ def context_of(facts: Mapping[str, Any], items: Items, model: str) -> Mapping[st
             "correct: full needs the bands item: bounced light is told by the albedo, so radiance must compare "
             "between bands; measure one with `lightstage calibrate bands`, or set correct: near+shadows"
         )
-    fields = ("id", "position_mm", "direction", "drive_position", "power")
     lens = ("size_px", "K", "distortion", "world_to_camera")
     return {
         "camera": {name: items["camera"][name] for name in lens} if near else None,
-        "lights": {"lights": [{k: light[k] for k in fields} for light in items["lights"]["lights"]]},
+        "lights": near_light.Lights.part_of(items["lights"]),
         "near": near,
         "mask": facts["mask"] if near else None,
     }

@@ -5,11 +5,11 @@ normalisation, times 2 r_c (or r_c), is linear in the pictures, so all of them a
 
     ratio       (Ma et al. 2007)      r_a / r_c - 1/2        ->  g_a = 2 r_a - r_c
     difference  (Wilson et al. 2010)  r_a - r_a'             ->  g_a = r_a - r_a'
-    minimal     (Dutta 2010, 3.6)     base b: g_b = r_b - r_b', the other axes g_a = 2 r_a - (r_b + r_b'),
+    minimal     (Dutta 2010, 4.5)     base b: g_b = r_b - r_b', the other axes g_a = 2 r_a - (r_b + r_b'),
                                       or its negative with r_a'
     norm = |g| / (2 r_c)              1/3 for ideal Lambertian shading
 
-The QP correction (Dutta 2010, 3.5) has a closed form per axis, because A has full row rank. With
+The QP correction (Dutta 2010, 4.4) has a closed form per axis, because A has full row rank. With
 b1 = r_a/r_c - 1/2 and b2 = (r_a - r_a')/r_c:
 
     n = (9 n0 + 3 b1 + 6 b2) / 14    ->    n ~ 9 g/|g| + (9 r_a - 6 r_a' - 3/2 r_c) / r_c

@@ -7,7 +7,7 @@ Specular values below zero are noise and are kept: clipping them would bias ever
 in the result's attributes. With one camera there is no split: `cross` alone gives the diffuse component;
 `parallel` or unpolarised light alone gives `total`, which is named as what it is.
 
-Must have run before: register. Source: Ma et al. (2007) section 3; Dutta (2010) 2.3.
+Must have run before: register. Source: Ma et al. (2007) section 3; Dutta (2010) 3.2.
 """
 
 from collections.abc import Mapping, Sequence

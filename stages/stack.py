@@ -6,7 +6,7 @@ A static capture becomes (illumination, band, component, y, x); an illumination 
 times is averaged. A performance (one with a frame rate) keeps its frames. Without a `bands` item the scale is
 1 and the result says that it is in counts.
 
-Must have run before: split. Source: Dutta (2010) 2.4.
+Must have run before: split. Source: Dutta (2010) 3.3.
 """
 
 from collections.abc import Mapping, Sequence

@@ -9,13 +9,13 @@ w_T the nearness in time, c_T the confidence of the flow. Where one side does no
 a picture at an end has one side only; a tracking frame has its own normals, or, if it lacks a full set, its
 neighbour's.
 
-`weights: printed` and `inverse: negated` are what the thesis prints, for comparison: its weights favour the farther
-tracking frame in the minimal sequence, and W(n, -f) is not the inverse warp.
+`weights: printed` and `inverse: negated` are what the thesis prints, for comparison: in the minimal sequence its
+weights favour the farther tracking frame (5.2.1), in Wilson's the nearer (5.1.1); W(n, -f) is not the inverse warp.
 
 Must have run before: normals and align. Limits: a warp moves normals and does not turn them; with a side before and
 one after, the mean follows the subject's rotation as far as it is linear in time.
 
-Source: Wilson et al. (2010), ACM TOG 29(2); Dutta (2010) 5.2.1.
+Source: Wilson et al. (2010), ACM TOG 29(2); Dutta (2010) 5.1.1 and 5.2.1.
 """
 
 from collections.abc import Mapping, Sequence
@@ -36,6 +36,11 @@ from stages.spherical_gradients import FILL, STEPS
 Image = NDArray[np.float32]
 
 
+_MINIMAL = 2
+"""Gradient pictures between two tracking frames of the minimal sequence, whose printed weights are the wrong way
+round; Wilson's has three."""
+
+
 class UpsampleParams(Params):
     """Parameters of `upsample`."""
 
@@ -53,6 +58,7 @@ def upsample(
     confidence: Sequence[Image],
     *,
     away: Sequence[float],
+    between: int | None = None,
     weights: str,
     inverse: str,
     interpolation: Interpolation,
@@ -65,6 +71,7 @@ def upsample(
         flow: per tracking frame, (xy, y, x), pixels, from its grid to the picture.
         confidence: of each flow, (y, x), 0 to 1.
         away: time from the picture to each tracking frame, in any unit; 0 if the picture is it.
+        between: pictures between the two tracking frames, for the weights that the thesis prints.
         weights, inverse, interpolation: see UpsampleParams.
 
     Returns:
@@ -82,7 +89,7 @@ def upsample(
     shares = nearness(0.0, away)
     if weights == "equal":
         shares = np.full(len(away), 1 / len(away))
-    elif weights == "printed":
+    elif weights == "printed" and between == _MINIMAL:
         shares = shares[::-1]
     return _result(blend(sides, [float(share) for share in shares]))
 
@@ -122,7 +129,7 @@ def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: UpsamplePa
         groups.append(
             Group(
                 {"normal": tracked, "albedo": tracked, "flow": flows, "confidence": flows},
-                {"away": [side[0] for side in chosen]},
+                {"away": [side[0] for side in chosen], "between": _between([tracking[side[1]] for side in chosen])},
             )
         )
     sizes = {"frame": len(frames), "xyz": 3, "y": normals.sizes["y"], "x": normals.sizes["x"]}
@@ -137,10 +144,17 @@ def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: UpsamplePa
     return Arrangement(Grid(sizes, labels, attrs), tuple(groups))
 
 
+def _between(flanking: Sequence[int]) -> int | None:
+    """How many pictures lie between two tracking frames."""
+    return abs(flanking[1] - flanking[0]) - 1 if len(flanking) == 2 else None
+
+
 def _context(
     labels: Mapping[str, Any], facts: Mapping[str, Any], items: Items, params: UpsampleParams
 ) -> Mapping[str, Any]:
-    return {"away": labels["away"]}
+    # the other weights do not depend on it, and what is in the context is in the key
+    printed = params.weights == "printed"
+    return {"away": labels["away"], "between": labels["between"] if printed else None}
 
 
 STAGE = Stage(
@@ -166,6 +180,6 @@ STAGE = Stage(
     blocks=("frame",),
     arrange=_arrange,
     context=_context,
-    prepared=("away",),
+    prepared=("away", "between"),
     kernel=upsample,
 )

@@ -11,7 +11,6 @@ nobody further on has to think of an overflow.
 
 import difflib
 import re
-import stat
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,6 +21,7 @@ import yaml
 
 from store.digest import digest_bytes
 from store.errors import MOST_PROBLEMS, RequestError, raise_all
+from store.intake import FileError, read_regular
 
 if TYPE_CHECKING:
     from pydantic import BaseModel, ValidationError
@@ -75,19 +75,9 @@ def load(path: Path, *, what: str) -> Document:
         RequestError: the file is missing, cannot be read, is larger than MOST_BYTES, is not UTF-8, or is not YAML.
     """
     try:
-        if not stat.S_ISREG(path.stat().st_mode):
-            raise RequestError(f"{path} is no file: expected {what}")
-        with path.open("rb") as file:
-            data = file.read(MOST_BYTES + 1)
-    except FileNotFoundError:
-        raise RequestError(f"{path} is missing: expected {what}") from None
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise RequestError(f"{short(path)} cannot be read ({reason}): expected {what}") from None
-    if len(data) > MOST_BYTES:
-        raise RequestError(
-            f"{path} is larger than {MOST_BYTES // 1_000_000} MB: expected {what}, which is a small text file"
-        )
+        data = read_regular(path, MOST_BYTES)
+    except FileError as error:
+        raise RequestError(f"{short(path)} {error}: expected {what}") from None
     try:
         text = data.decode("utf-8")
     except UnicodeDecodeError as error:

@@ -39,7 +39,7 @@ def read_regular(path: Path, limit: int) -> bytes:
     with open_regular(path) as file, _as_sentence(path):
         before = os.fstat(file.fileno())
         if before.st_size > limit:
-            raise FileError(f"has {before.st_size} bytes; at most {limit} are expected")
+            raise FileError(f"has {before.st_size} bytes, more than the {limit} that it may have")
         data = file.read(before.st_size + 1)
         after = os.stat(path)
     stamps = [(found.st_size, found.st_mtime_ns, found.st_ino) for found in (before, after)]
@@ -70,7 +70,7 @@ def _without_waiting(path: str, flags: int) -> int:
 def _refuse_other(found: os.stat_result) -> None:
     for is_kind, kind in _KINDS:
         if is_kind(found.st_mode):
-            raise FileError(f"is {kind}; a file is expected")
+            raise FileError(f"is {kind}, and no file")
 
 
 @contextmanager

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import hypothesis
 import pytest
 
 from store.notes import write_note
@@ -18,6 +19,12 @@ from tests.scenes import sphere_capture
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 DATA = Path(os.environ.get("LIGHTSTAGE_TEST_DATA", REPOSITORY.parent / "shared" / "data"))
+
+# a busy machine is no fault of what is tested
+hypothesis.settings.register_profile(
+    "lightstage", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]
+)
+hypothesis.settings.load_profile("lightstage")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

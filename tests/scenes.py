@@ -127,12 +127,12 @@ def one_camera_capture(
 LIGHT_MM = 790.0
 
 
-def light_places(count: int = 41, seed: int = 0) -> tuple[Array, Array]:
+def light_places(count: int = 41, seed: int = 0, off_mm: float = 4) -> tuple[Array, Array]:
     """(light, xyz) positions in mm spread over a sphere of LIGHT_MM, each some mm off, and their drive vectors."""
     k = np.arange(count) + 0.5
     polar, azimuth = np.arccos(1 - 2 * k / count), np.pi * (1 + 5**0.5) * k  # Fibonacci's lattice
     drive = np.stack([np.cos(azimuth) * np.sin(polar), np.cos(polar), np.sin(azimuth) * np.sin(polar)], axis=1)
-    offsets = np.random.default_rng(seed).uniform(-4, 4, drive.shape)
+    offsets = np.random.default_rng(seed).uniform(-off_mm, off_mm, drive.shape)
     return LIGHT_MM * drive + offsets, drive
 
 

@@ -113,14 +113,14 @@ def test_a_file_is_read_up_to_its_limit_and_only_if_it_is_one(tmp_path: Path) ->
     around = tmp_path / "around.yaml"
     around.symlink_to(around)
     for path, said in (
-        (large, "is larger than 10 MB: expected a pipeline"),
-        (pipe, "is no file: expected a pipeline"),
-        (tmp_path, "is no file"),
-        (Path("/dev/zero"), "is no file"),
+        (large, "more than the 10000000 that it may have: expected a pipeline"),
+        (pipe, "is a pipe, and no file: expected a pipeline"),
+        (tmp_path, "is a folder, and no file"),
+        (Path("/dev/zero"), "is a device, and no file"),
         (around, "cannot be read"),
         (tmp_path / ("x" * 5000), "cannot be read (File name too long)"),
-        (tmp_path / "a\0b", "cannot be read"),
-        (large / "inside.yaml", "cannot be read (Not a directory)"),
+        (tmp_path / "a\0b", "is no name that a file can have"),
+        (large / "inside.yaml", "is missing: expected a pipeline"),
     ):
         with pytest.raises(RequestError) as caught:
             document.load(path, what="a pipeline")

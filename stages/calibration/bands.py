@@ -14,7 +14,20 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dag.stage import Arrangement, Grid, Group, Input, Items, Needs, Output, Params, Result, Stage, StageError
+from dag.stage import (
+    Arrangement,
+    Finding,
+    Grid,
+    Group,
+    Input,
+    Items,
+    Needs,
+    Output,
+    Params,
+    Result,
+    Stage,
+    StageError,
+)
 from hw import color_checker
 from stages.calibration.band_scale import (
     band_scale,
@@ -25,6 +38,8 @@ from stages.calibration.band_scale import (
 )
 from stages.calibration.session import need_target, reference
 
+_UNEVEN = 0.05
+"""Part by which a target may be lit unevenly before its mean is in doubt."""
 _NEAR_NM = 8.0
 """A band this near to one of the table's is compared with it."""
 
@@ -161,15 +176,16 @@ def _item(result: Result) -> Mapping[str, Any]:
     }
 
 
-def _verdict(result: Result) -> list[str]:
-    said = []
+def _verdict(result: Result) -> list[Finding]:
+    findings = []
     for i, nm in enumerate(result.labels["band"]):
         scale, error = float(result.arrays["scale"][i]), float(result.arrays["scale_se"][i])
         uneven = float(result.arrays["unevenness"][i])
-        said.append(
-            f"{nm:g} nm: {scale:.2f} +- {error:.2f} counts per unit reflectance, uneven by {uneven:.1%}"
-            + (": light it more evenly" if uneven > 0.05 else "")
-        )
+        measured = f"{nm:g} nm: {scale:.2f} +- {error:.2f} counts per unit reflectance, uneven by {uneven:.1%}"
+        if uneven > _UNEVEN:
+            findings.append(Finding("doubtful", f"{measured}: light it more evenly"))
+        else:
+            findings.append(Finding("good", measured))
     patches = result.arrays["patches"]
     if np.isfinite(patches).any():
         table = np.asarray(color_checker.BANDS_NM, float)
@@ -181,13 +197,14 @@ def _verdict(result: Result) -> list[str]:
         if errors:
             off = np.stack(errors, axis=1)
             worst = int(np.nanargmax(np.abs(off).max(axis=1)))
-            said.append(
+            sentence = (
                 f"ColorChecker: off by {float(np.sqrt(np.nanmean(off**2))):.4f} in reflectance (root mean square), "
                 f"most at {color_checker.NAMES[worst]} ({float(np.abs(off[worst]).max()):.3f})"
             )
+            findings.append(Finding("good", sentence))
     if "dark" not in result.items:
-        said.append("no dark item is bound: the counts hold the dark")
-    return said
+        findings.append(Finding("doubtful", "no dark item is bound: the counts hold the dark"))
+    return findings
 
 
 STAGE = Stage(

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dag.stage import Arrangement, Grid, Group, Input, Items, Needs, Output, Params, Result, Stage
+from dag.stage import Arrangement, Finding, Grid, Group, Input, Items, Needs, Output, Params, Result, Stage
 from stages.calibration.camera_matrix import NAMES, fit_camera, other_camera
 from stages.calibration.session import need_target, reference
 
@@ -108,27 +108,33 @@ def _item(result: Result) -> Mapping[str, Any]:
     }
 
 
-def _verdict(result: Result) -> list[str]:
+def _verdict(result: Result) -> list[Finding]:
     matrix, deviation = result.arrays["matrix"], result.arrays["deviation"]
     names = list(result.labels["parameter"])
     pictures = result.arrays["residual"].shape[0]
-    said = [
-        f"f = {matrix[0, 0]:.1f} +- {deviation[0]:.1f} px, centre ({matrix[0, 2]:.1f}, {matrix[1, 2]:.1f}) "
-        f"from {pictures} picture(s); corners are off by {float(result.arrays['rms_px']):.3f} px (root mean square)"
+    findings = [
+        Finding(
+            "good",
+            f"f = {matrix[0, 0]:.1f} +- {deviation[0]:.1f} px, centre ({matrix[0, 2]:.1f}, {matrix[1, 2]:.1f}) "
+            f"from {pictures} picture(s); corners are off by {float(result.arrays['rms_px']):.3f} px "
+            "(root mean square)",
+        )
     ]
     held = [name for name, fixed in zip(names, result.arrays["held"], strict=True) if fixed]
     if held:
-        said.append(
+        sentence = (
             f"these boards cannot tell {', '.join(held)}: more pictures, tilted and over the whole frame, would"
         )
+        findings.append(Finding("doubtful", sentence))
     other = result.arrays["other_matrix"]
     if np.isfinite(other).all():
-        said.append(f"through the homography, the other camera has f = {other[0, 0]:.1f} px")
+        findings.append(Finding("good", f"through the homography, the other camera has f = {other[0, 0]:.1f} px"))
     if "camera" not in result.items:
-        said.append(
+        sentence = (
             "the pose is the nominal one: bind the rig's camera item first, or correct world_to_camera by hand"
         )
-    return said
+        findings.append(Finding("doubtful", sentence))
+    return findings
 
 
 STAGE = Stage(

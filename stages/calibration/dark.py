@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dag.stage import Arrangement, Grid, Group, Input, Items, Output, Params, Result, Stage, StageError
+from dag.stage import Arrangement, Finding, Grid, Group, Input, Items, Output, Params, Result, Stage, StageError
 from stages.calibration.defects import find_hot, moments
 from stages.calibration.session import SCALE, frames_of, listed, stored
 
@@ -109,11 +109,11 @@ def _item(result: Result) -> Mapping[str, Any]:
     return item
 
 
-def _verdict(result: Result) -> list[str]:
-    said = []
+def _verdict(result: Result) -> list[Finding]:
+    findings = []
     for i, polarisation in enumerate(result.labels["polarisation"]):
         noise = result.arrays["noise"][i]
-        said.append(
+        sentence = (
             f"{result.facts['cameras'][polarisation]}: "
             f"dark {float(np.median(result.arrays['mean'][i])):.2f} counts, "
             + (f"noise {float(np.sqrt(np.mean(noise**2))):.2f} counts, " if np.isfinite(noise).all() else "")
@@ -121,7 +121,8 @@ def _verdict(result: Result) -> list[str]:
             f"(more than {float(result.arrays['threshold'][i]):.1f} counts above others), "
             f"from {result.attrs['frames']} frames"
         )
-    return said
+        findings.append(Finding("good", sentence))
+    return findings
 
 
 STAGE = Stage(

@@ -13,7 +13,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dag.stage import Arrangement, Grid, Group, Input, Items, Needs, Output, Params, Result, Stage, StageError
+from dag.stage import (
+    Arrangement,
+    Finding,
+    Grid,
+    Group,
+    Input,
+    Items,
+    Needs,
+    Output,
+    Params,
+    Result,
+    Stage,
+    StageError,
+)
 from stages.calibration.defects import find_dead, find_hot, interpolate, moments
 from stages.calibration.sensor_response import fit_linearity, photon_transfer
 from stages.calibration.session import SCALE, frames_of, listed, stored
@@ -136,8 +149,8 @@ def _item(result: Result) -> Mapping[str, Any]:
     }
 
 
-def _verdict(result: Result) -> list[str]:
-    said = []
+def _verdict(result: Result) -> list[Finding]:
+    findings = []
     for i, polarisation in enumerate(result.labels["polarisation"]):
         n = dict(zip(NUMBERS, result.arrays["numbers"][i], strict=True))
         words = [f"flat {float(np.median(result.arrays['mean'][i])):.0f} counts from {n['frames']:.0f} frames"]
@@ -152,8 +165,9 @@ def _verdict(result: Result) -> list[str]:
             )
         if np.isfinite(n["linearity_percent"]):
             words.append(f"linear to {n['linearity_percent']:.2f} % of full scale")
-        said.append(f"{result.facts['cameras'][polarisation]}: " + "; ".join(words))
-    return said
+        sentence = f"{result.facts['cameras'][polarisation]}: " + "; ".join(words)
+        findings.append(Finding("good" if n["dark_known"] else "doubtful", sentence))
+    return findings
 
 
 STAGE = Stage(

@@ -13,12 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dag.stage import Arrangement, Grid, Group, Input, Items, Output, Params, Result, Stage, StageError
+from dag.stage import Arrangement, Finding, Grid, Group, Input, Items, Output, Params, Result, Stage, StageError
 from stages.calibration.board_corners import Corners
 from stages.calibration.homography_fit import expected_error_px, fit_homography
 from stages.calibration.mount_check import check_mount, pair_corners
 from stages.calibration.residual_field import MATTERS_PX, check_field
 from stages.calibration.session import need_target
+
+_CORNER_PX = 0.1
+"""What the matrix may be uncertain by in the picture's corners before more boards are asked for."""
 
 
 class HomographyParams(Params):
@@ -131,38 +134,46 @@ def _item(result: Result) -> Mapping[str, Any]:
     }
 
 
-def _verdict(result: Result) -> list[str]:
+def _verdict(result: Result) -> list[Finding]:
     a = {name: float(result.arrays[name]) for name in result.arrays if result.arrays[name].ndim == 0}
     boards = int(result.arrays["board"].max()) + 1
     distorted, parallax = (bool(v) for v in result.arrays["flags"])
-    said = []
+    findings = []
     if parallax:
-        said.append(
+        sentence = (
             f"the boards disagree by {a['parallax_px']:.2f} px above the noise of {a['noise_px']:.3f} px: "
             "parallax; the cameras' centres do not coincide, so the homography holds only near the boards' depth"
         )
+        findings.append(Finding("doubtful", sentence))
     elif distorted:
-        said.append(
+        sentence = (
             f"a smooth residual of {a['smooth_px']:.2f} px remains above the noise of {a['noise_px']:.3f} px: the "
             "cameras' lenses distort differently; a homography cannot follow it"
         )
+        findings.append(Finding("doubtful", sentence))
     else:
-        said.append(
+        sentence = (
             f"the residuals are noise ({a['rms_px']:.3f} px; more than {MATTERS_PX:g} px of anything smooth would "
             f"be said): one homography holds where the {boards} board(s) were"
         )
+        findings.append(Finding("good", sentence))
     if boards == 1:
-        said.append("one board cannot show parallax: add one at another depth and tilt")
-    said.append(
+        sentence = "one board cannot show parallax: add one at another depth and tilt"
+        findings.append(Finding("doubtful", sentence))
+    errors = (
         f"Sampson error {a['sampson_px']:.4f} px, geometric error {a['geometric_px']:.4f} px; expected error in "
         f"the picture's corners up to {a['expected_px']:.3f} px"
-        + (": put boards nearer to the corners" if a["expected_px"] > 0.1 else "")
     )
+    if a["expected_px"] > _CORNER_PX:
+        findings.append(Finding("doubtful", f"{errors}: put boards nearer to the corners"))
+    else:
+        findings.append(Finding("good", errors))
     if a["mount_doubt"] < 1.5:
-        said.append(
+        sentence = (
             "another mount of the first camera fits nearly as well: put the board nearer to the picture's edge"
         )
-    return said
+        findings.append(Finding("doubtful", sentence))
+    return findings
 
 
 STAGE = Stage(

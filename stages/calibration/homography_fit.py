@@ -12,7 +12,7 @@ Two cameras behind a beam splitter see a scene of any depth through one homograp
 projection coincide. What remains shows in the residuals: `verdict` says whether they are noise.
 
 Sources: Hartley & Zisserman (2004), Multiple View Geometry, alg. 4.2, 4.3, sections 4.2.4, 4.2.6 and 5.2;
-Hartley (1997), doi:10.1109/34.601246 (normalisation); Dutta (2010) 2.3.3.
+Hartley (1997), doi:10.1109/34.601246 (normalisation); Dutta (2010) 3.2.3.
 """
 
 from dataclasses import dataclass

@@ -10,14 +10,27 @@ one of two channels cannot be told apart. Sources: Dutta (2010) 3.1.2, and those
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dag.stage import Arrangement, Grid, Group, Input, Items, Needs, Output, Params, Result, Stage, StageError
+from dag.stage import (
+    Arrangement,
+    Finding,
+    Grid,
+    Group,
+    Input,
+    Items,
+    Needs,
+    Output,
+    Params,
+    Result,
+    Stage,
+    StageError,
+)
 from hw.geodesic import light_positions
 from stages.calibration.ball_conic import sphere_centre
 from stages.calibration.ball_outline import find_outline
@@ -47,6 +60,9 @@ class LightsParams(Params):
     stage_sigma_mm: float = Field(3.0, gt=0, description="how well that radius is known")
     placement_sigma_mm: float = Field(5.0, gt=0, description="how far a light may be off its place")
     layout: str = Field("auto", pattern="auto|none|[1-9][0-9]*", description="frequency of the geodesic sphere")
+    driven_from: Literal["ideal", "measured"] = Field(
+        "ideal", description="where the rig's gradient weights were made from: the layout, or measured positions"
+    )
 
 
 def lights(
@@ -355,6 +371,7 @@ def _prepare(
 
 def _item(result: Result) -> Mapping[str, Any]:
     """The lights item."""
+    driven_from = result.attrs["parameters"]["driven_from"]
     rows = []
     for k, name in enumerate(result.labels["light"]):
         row: dict[str, Any] = {"id": name, "channel": int(name[1:])}
@@ -366,34 +383,38 @@ def _item(result: Result) -> Mapping[str, Any]:
         else:
             continue  # not seen, and nothing says where it is
         drive = result.arrays["drive_position"][k]
-        if np.isfinite(drive).all():
+        if driven_from == "ideal" and np.isfinite(drive).all():
             row["drive_position"] = [round(float(v), 8) for v in drive]
         row |= {"power": 1.0, "seen": bool(_is_seen(result, k))}
         rows.append(row)
-    return {"item": "lights", "drive": "ideal", "lights": rows}
+    return {"item": "lights", "drive": driven_from, "lights": rows}
 
 
 def _is_seen(result: Result, k: int) -> bool:
     return any(STATUS[s] in ("seen", "cut") for s in result.arrays["status"][:, k])
 
 
-def _verdict(result: Result) -> list[str]:
+def _verdict(result: Result) -> list[Finding]:
     """What a lab engineer should know, the worst first."""
     names = list(result.labels["light"])
     place, status = result.arrays["layout_place"], result.arrays["status"]
-    said: list[str] = []
+    findings: list[Finding] = []
     for k, name in enumerate(names):
         j = int(place[k])
         seen = _is_seen(result, k)
         words = {STATUS[s] for s in status[:, k]}
         if seen and 0 <= j < len(names) and place[j] == k and k < j:
-            said.append(f"{name} and {names[j]} are swapped: each shows at the other's place (files or channels)")
+            sentence = f"{name} and {names[j]} are swapped: each shows at the other's place (files or channels)"
+            findings.append(Finding("bad", sentence))
         elif seen and j >= 0 and j != k and not (j < len(names) and place[j] == k):
-            said.append(f"{name} shows at the place of L{j:02d}: wired to the wrong channel, or the wrong file")
+            sentence = f"{name} shows at the place of L{j:02d}: wired to the wrong channel, or the wrong file"
+            findings.append(Finding("bad", sentence))
         elif seen and j < 0 and np.isfinite(result.arrays["stage_mm"]).all():
-            said.append(f"{name} shows at no place of the layout")
+            findings.append(Finding("bad", f"{name} shows at no place of the layout"))
         if result.arrays["off_place"][k]:
-            said.append(f"{name} is {result.arrays['residual_mm'][k]:.0f} mm off its place")
+            findings.append(
+                Finding("doubtful", f"{name} is {result.arrays['residual_mm'][k]:.0f} mm off its place")
+            )
         if not seen:
             where = "placed by symmetry" if np.isfinite(result.arrays["position_mm"][k]).all() else "left out"
             why = {
@@ -402,21 +423,23 @@ def _verdict(result: Result) -> list[str]:
                 "double": "seen twice: two lights are on in its picture",
                 "missing": "without a picture",
             }[next((w for w in ("saturated", "double", "dark") if w in words), "missing")]
-            said.append(f"{name} {why}, {where}")
+            findings.append(Finding("doubtful", f"{name} {why}, {where}"))
         elif "cut" in words and "seen" not in words:
-            said.append(f"{name} is cut by the ball's outline, so its direction is less certain")
+            sentence = f"{name} is cut by the ball's outline, so its direction is less certain"
+            findings.append(Finding("doubtful", sentence))
     if result.arrays["renumbered"]:
-        said.append("the rig counts a ring of lights from another start than the layout: its own numbering is used")
+        sentence = "the rig counts a ring of lights from another start than the layout: its own numbering is used"
+        findings.append(Finding("good", sentence))
     radius = result.arrays["stage_mm"]
     if np.isfinite(radius).all():
         residual = result.arrays["residual_mm"]
-        said.append(
+        sentence = (
             f"{int(np.isfinite(residual).sum())} of {len(names)} lights fit the layout to "
             f"{float(np.nanmedian(residual)):.1f} mm (median); stage radius {radius[3]:.1f} mm"
         )
     else:
-        said.append(f"directions of {sum(_is_seen(result, k) for k in range(len(names)))} lights, without a layout")
-    return said
+        sentence = f"directions of {sum(_is_seen(result, k) for k in range(len(names)))} lights, without a layout"
+    return [*findings, Finding("good", sentence)]
 
 
 STAGE = Stage(

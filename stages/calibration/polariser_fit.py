@@ -1,4 +1,4 @@
-"""How each light's polariser is turned against the analyser of the cross camera (Dutta 2010, 3.1.4).
+"""How each light's polariser is turned against the analyser of the cross camera (Dutta 2010, 3.2.1).
 
     I(t) = a + b cos^2(t - theta0) = m + c cos 2t + s sin 2t
     theta0 = atan2(s, c) / 2      q = sqrt(c^2 + s^2)      a = m - q      b = 2 q      residual = a / (a + b)

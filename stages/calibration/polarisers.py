@@ -3,7 +3,7 @@
 Frames carry `polariser_deg`; every light (L00 ...) is seen at each angle. The kernel is in `polariser_fit.py`.
 
 Must have run before: outline, highlights. Limits: a metal ball turns polarisation itself at grazing incidence, so a
-dielectric one (black plastic) should be used. Sources: Dutta (2010) 3.1.4, and those of the kernel.
+dielectric one (black plastic) should be used. Sources: Dutta (2010) 3.2.1, and those of the kernel.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,7 +13,20 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dag.stage import Arrangement, Grid, Group, Input, Items, Needs, Output, Params, Result, Stage, StageError
+from dag.stage import (
+    Arrangement,
+    Finding,
+    Grid,
+    Group,
+    Input,
+    Items,
+    Needs,
+    Output,
+    Params,
+    Result,
+    Stage,
+    StageError,
+)
 from stages.calibration.photometry import highlight_sums, variance
 from stages.calibration.polariser_fit import GRAZING_DEG, fit_polarisers
 from stages.calibration.session import frames_of, light_numbers, need_target, parts, reference
@@ -176,26 +189,29 @@ def _item(result: Result) -> Mapping[str, Any]:
     return {"item": "polarisers", "lights": rows}
 
 
-def _verdict(result: Result) -> list[str]:
+def _verdict(result: Result) -> list[Finding]:
     names = list(result.labels["light"])
     residual, error = result.arrays["residual"], result.arrays["theta0_se_deg"]
     seen = np.isfinite(residual)
     worst = int(np.nanargmax(residual))
-    said = [
+    sentence = (
         f"{int(seen.sum())} of {len(names)} lights: at the right angle {float(np.nanmedian(residual)):.2%} of the "
         f"highlight remains (median; most at {names[worst]}, {float(residual[worst]):.2%}); angles are known to "
         f"{float(np.nanmedian(error)):.2f} degrees (median)"
-    ]
+    )
+    findings = [Finding("good", sentence)]
     vague = [name for name, e in zip(names, error, strict=True) if e > 0.5]
     if vague:
-        said.append(f"{', '.join(vague)}: too weak to place the polariser within 0.5 degrees; expose longer")
+        sentence = f"{', '.join(vague)}: too weak to place the polariser within 0.5 degrees; expose longer"
+        findings.append(Finding("doubtful", sentence))
     grazing = [name for name, g in zip(names, result.arrays["grazing"], strict=True) if g]
     if grazing:
-        said.append(
+        sentence = (
             f"{', '.join(grazing)} strike the metal ball at more than {GRAZING_DEG:g} degrees: their residual is "
             "partly the metal's and their angle not that of skin; use a plastic ball"
         )
-    return said
+        findings.append(Finding("doubtful", sentence))
+    return findings
 
 
 STAGE = Stage(

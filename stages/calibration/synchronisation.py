@@ -4,7 +4,7 @@ The capture shows a mirror ball: one picture per light (L00 ...), one without li
 (T0 to T3 by turns, each a quarter of the lights). The kernel is in `sync_check.py`.
 
 Must have run before: highlights. Limits: patterns that repeat every four steps cannot tell a shift by four from
-none. Source: Dutta (2010) 3.1.4, and those of the kernels.
+none. Source: Dutta (2010) 3.1.3, and those of the kernels.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dag.stage import Arrangement, Grid, Group, Input, Items, Output, Params, Result, Stage, StageError
+from dag.stage import Arrangement, Finding, Grid, Group, Input, Items, Output, Params, Result, Stage, StageError
 from stages.calibration.photometry import highlight_sums, variance
 from stages.calibration.session import frames_of, light_numbers, need_target, reference
 from stages.calibration.sync_check import align, check
@@ -113,20 +113,23 @@ def _context(
     return {"declared": labels["declared"], "lights": labels["lights"], "white_level": facts["white_level"]}
 
 
-def _verdict(result: Result) -> list[str]:
+def _verdict(result: Result) -> list[Finding]:
     found = [PATTERNS[k] for k in result.arrays["found"]]
     declared = [PATTERNS[k] for k in result.arrays["declared"]]
     _, events = align(found, declared)
-    said = [event.says for event in events] or [f"all {len(found)} frames show what was meant, in order"]
+    findings = [Finding("bad", event.says) for event in events]
+    if not findings:
+        findings = [Finding("good", f"all {len(found)} frames show what was meant, in order")]
     for side, name in (("before", "the illumination before"), ("after", "the illumination after")):
         leak = result.arrays[f"leak_{side}_percent"]
         if np.isfinite(leak).any():
             error = float(np.nanmedian(result.arrays["leak_se_percent"]))
-            said.append(
+            sentence = (
                 f"{float(np.nanmedian(leak)):.2f} % of the light is of {name} (median; worst "
                 f"{float(np.nanmax(leak)):.2f} %, each +- {error:.2f})"
             )
-    return said
+            findings.append(Finding("good", sentence))
+    return findings
 
 
 STAGE = Stage(

@@ -65,7 +65,8 @@ WORDS = (
     "", " ", "-", "--", "-x", "--no-such", "\0", "a\0b", "x" * 5000, "../x", "/", ".", "..", "ü", "\udcff", "~",
     "~nobody/x", "0", "-1", "1e999", "99999999999999999999", "nan", "0:0", "5:1", "0:99999999999999999999",
     "\u0661:\u0662", "::", "normals.method=", "normals.method=nothing", "normals=", "=", "a.b.c=d",
-    "normals.method=[", "x.y=" + "[" * 5000, "homography=", "homography=/dev/null", "dark=.", "capture", "current",
+    "normals.method=[", "x.y=" + "[" * 5000,
+    "homography=", "homography=/dev/null", "dark=.", "capture", "current",
     "normals",
     "ball", "png8", "npy", "exr", "glb", "gif", "/dev/null", "/dev/full/x", "*", "%s", "{}",
 )  # fmt: skip

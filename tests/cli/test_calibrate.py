@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
+from cli import calibrate
 from hw import ball_targets, flat_targets
 from hw.virtual_rig import Shot
 from tests.conftest import Answer
@@ -93,6 +94,18 @@ def test_one_picture_replaced_costs_that_light_and_the_joint_fit(
     assert cv2.imwrite(str(path), picture + (picture < 1000).astype(np.uint16))
     nodes = measure(lightstage, "lights", folder)["nodes"]
     assert {name: node["computed"] for name, node in nodes.items()} == {"outline": 0, "highlights": 1, "lights": 1}
+
+
+def test_where_the_weights_came_from_is_written(lightstage: Command, ball: Path, tmp_path: Path) -> None:
+    measure(lightstage, "lights", ball, out=tmp_path / "ideal.yaml")
+    measure(lightstage, "lights", ball, out=tmp_path / "own.yaml", more=("--driven-from", "measured"))
+    ideal, own = (yaml.safe_load((tmp_path / f"{name}.yaml").read_text()) for name in ("ideal", "own"))
+    assert (ideal["drive"], own["drive"]) == ("ideal", "measured")
+    assert all("drive_position" in light for light in ideal["lights"])
+    assert not any("drive_position" in light for light in own["lights"])
+    refused = lightstage("calibrate", "dark", "--from", ball, "--driven-from", "measured")
+    assert refused.code == 2
+    assert "dark has no weights" in refused.err
 
 
 def test_swapped_files_are_named(lightstage: Command, ball: Path, tmp_path: Path) -> None:
@@ -362,3 +375,12 @@ def test_without_a_layout_rays_of_two_places_meet_at_the_lights(
     # two places 30 mm apart see a light at 790 mm under 2 degrees, and a ray is good to half a degree: a quarter of
     # the distance; whole decimetres of ball travel, as on a real stage, make it millimetres
     assert np.median(off) < 250
+
+
+def test_a_shift_is_measured_over_the_whole_picture() -> None:
+    """A scale of 1.001 about the corner moves far pixels more than near ones."""
+    unit = [[1.0, 0, 0], [0, 1, 0], [0, 0, 1]]
+    scaled = [[1.001, 0, 0], [0, 1.001, 0], [0, 0, 1]]
+    y, x = np.mgrid[0:1236, 0:1624]
+    # 9 x 7 points stand for all pixels
+    assert calibrate.shift_px(unit, scaled, (1236, 1624)) == pytest.approx(0.001 * np.hypot(x, y).mean(), rel=0.03)

@@ -30,6 +30,17 @@ def ball(lightstage: Lightstage, sphere: Path) -> Path:
     return sphere
 
 
+def test_a_node_that_brings_in_the_session_may_have_any_name(lightstage: Lightstage, tmp_path: Path) -> None:
+    lightstage("import", one_camera_capture(tmp_path / "c", ["C", "X", "Y", "Z"], session="ball"))
+    pipeline = tmp_path / "p.yaml"
+    pipeline.write_text("stages:\n  pictures: {uses: capture}\n  clean: {uses: register, from: pictures}\n")
+    found = lightstage("path", "pictures", "--session", "ball", "--pipeline", pipeline)
+    assert found.out.strip() == str(tmp_path / "store" / "sessions" / "ball" / "raw.zarr")
+    where = ("--session", "ball", "--pipeline", pipeline)
+    assert lightstage("export", "pictures", *where, "--format", "png16", "--to", tmp_path / "out").code == 0
+    assert len(list((tmp_path / "out").glob("*.png"))) == 4
+
+
 def test_the_main_job_ends_with_a_picture(lightstage: Lightstage, sphere: Path) -> None:
     done = lightstage("normals", sphere)
     assert done.code == 0, done.err

@@ -316,7 +316,7 @@ def damaged(file: Path, *, keep: float) -> Path:
     ("make", "said"),
     [
         (lambda p: p / "none.hdr", "none.hdr is missing"),
-        (lambda p: pipe(p / "a.hdr"), "is a pipe; a file is expected"),
+        (lambda p: pipe(p / "a.hdr"), "is a pipe, and no file"),
         (lambda p: declaring(write_hdr(p / "a.hdr", white()), 60000, 30000), "is no picture that can be read"),
         (lambda p: write_hdr(p / "a.hdr", np.ones((16, 30, 3))), "is 30 x 16; a map in latitude and"),
         (lambda p: damaged(write_hdr(p / "a.hdr", white()), keep=0.5), "is damaged or cut short"),

@@ -42,6 +42,40 @@ def test_two_lights_by_hand() -> None:
     np.testing.assert_allclose(out.norm, [1 / 1.4])
 
 
+def test_a_rig_driven_from_measured_positions_has_its_weights_from_there() -> None:
+    """Dutta (2010) 3.1.3: lights are driven from where they were measured, and not from the layout."""
+    places, ideal = light_places(off_mm=20)
+    rows = [
+        {
+            "id": f"L{k:02d}",
+            "position_mm": list(place),
+            "direction": None,
+            "drive_position": list(vector),
+            "power": 1.0,
+        }
+        for k, (place, vector) in enumerate(zip(places, ideal, strict=True))
+    ]
+    measured, layout = (
+        Lights.of(Lights.part_of({"drive": drive, "lights": rows}), near=True) for drive in ("measured", "ideal")
+    )
+    unit = places / np.linalg.norm(places, axis=1, keepdims=True)
+    np.testing.assert_allclose(measured.drive, unit, atol=1e-12)
+    np.testing.assert_allclose(layout.drive, ideal, atol=1e-12)
+    # pictures of such a rig, without noise: wrong weights are a wrong normal
+    pictures, truth, depth, camera = near_ball(places, unit)
+    seen = read(pictures)
+    mask = np.isfinite(depth) & (seen.constant[0] > 0)
+    points = Pinhole.of(camera, depth.shape).points(np.where(mask, depth, 1.0))[mask]
+    errors = [
+        float(
+            np.mean(angle_deg(invert(seen.vector[0][mask].astype(float), points, lights).normal.T, truth[:, mask]))
+        )
+        for lights in (measured, layout)
+    ]
+    assert errors[0] < 0.05  # float32 pictures
+    assert errors[1] > 5 * errors[0]
+
+
 def test_a_light_at_half_the_distance_is_four_times_as_bright() -> None:
     lights = lights_of([[1, 0, 0], [0, 0, 1], [0, 1, 0]], np.eye(3)[[0, 2, 1]])
     near = invert(np.array([[0.0, 0, 1]]), np.array([[0.0, 0, 0.5]]), lights)

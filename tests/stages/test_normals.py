@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from dag.stage import StageError
+from dag.stage import Grid, StageError
 from stages import one_light
 from stages.band_fusion import fuse, noise_model
-from stages.normals import Choice, choose, light_directions, normals, view_vectors
+from stages.normals import STAGE, Choice, NormalsParams, choose, light_directions, normals, view_vectors
 from stages.spherical_gradients import FILL, GRADIENTS, STEPS, solve, table
 from tests.scenes import STATIC, angle_deg, decoded, ideal_gradient, sphere_normals
 
@@ -299,6 +299,22 @@ def test_a_missing_illumination_says_what_is_needed_what_there_is_and_what_would
     with pytest.raises(StageError) as caught:
         choose(have.split(), **ask)
     assert all(part in str(caught.value) for part in parts), str(caught.value)
+
+
+def test_the_qp_correction_is_for_diffuse_light() -> None:
+    """Its 1/3 and 2/3 are the diffuse lobe's; a specular lobe has up to 1/2 and 1, by its roughness."""
+    sizes = {"illumination": len(STATIC), "band": 1, "component": 2, "y": 4, "x": 4}
+    labels: dict[str, Any] = {
+        "illumination": (("illumination",), list(STATIC)),
+        "frame": (("illumination",), list(range(len(STATIC)))),
+        "band": (("band",), [0.0]),
+        "component": (("component",), ["diffuse", "specular"]),
+    }
+    stacked = Grid(sizes, labels, arrays=frozenset({"radiance"}))
+    facts = {"frame_rate_hz": None, "illumination": list(STATIC), "time_s": [None] * len(STATIC), "items": []}
+    with pytest.raises(StageError, match="constants of the diffuse lobe"):
+        STAGE.arrange([stacked], facts, NormalsParams(correct="qp", component="specular"))
+    assert STAGE.arrange([stacked], facts, NormalsParams(correct="qp")).groups
 
 
 def test_lights_by_position_fall_off_and_by_direction_do_not() -> None:

@@ -30,10 +30,22 @@ def call(normal: Any, flow: Any, away: Any, confidence: Any = None, **options: A
     return upsample(normal, lit, flow, sure, away=away, **settings)
 
 
-@pytest.mark.parametrize(("weights", "wanted"), [("nearness", 2), ("printed", 4), ("equal", 3)])
-def test_weights_by_hand(weights: str, wanted: float) -> None:
-    """Between tracking frames of 0 and 6 degrees, one before and two after."""
-    out = call([tilted(0), tilted(6)], [still(), still()], [-1, 2], weights=weights)
+@pytest.mark.parametrize(
+    ("weights", "away", "wanted"),
+    [
+        ("nearness", [-1, 2], 2),
+        ("equal", [-1, 2], 3),
+        # Dutta (2010) 5.2.1: frame 5 between 3 and 6 takes 3 twice, here from the other side
+        ("printed", [-1, 2], 4),
+        # 5.1.1, Wilson's: frame 5 between 4 and 8 takes 4 three times
+        ("nearness", [-1, 3], 1.5),
+        ("printed", [-1, 3], 1.5),
+    ],
+)
+def test_weights_by_hand(weights: str, away: list[int], wanted: float) -> None:
+    """Between tracking frames of 0 and 6 degrees."""
+    between = away[1] - away[0] - 1
+    out = call([tilted(0), tilted(6)], [still(), still()], away, weights=weights, between=between)
     n = decoded(out["normal"])
     # int16 steps are 0.002 degrees, and a chord's third is not quite an arc's
     assert np.degrees(np.arctan2(n[0], n[2])) == pytest.approx(np.full(SHAPE, wanted), abs=0.01)

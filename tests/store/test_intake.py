@@ -32,10 +32,10 @@ def to(target: str) -> Callable[[Path], None]:
 
 
 NO_FILES = {
-    "pipe": (pipe, "is a pipe; a file is expected"),
-    "socket": (listening, "is a socket; a file is expected"),
-    "folder": (Path.mkdir, "is a folder; a file is expected"),
-    "device": (to("/dev/zero"), "is a device; a file is expected"),
+    "pipe": (pipe, "is a pipe, and no file"),
+    "socket": (listening, "is a socket, and no file"),
+    "folder": (Path.mkdir, "is a folder, and no file"),
+    "device": (to("/dev/zero"), "is a device, and no file"),
     "circle": (circle, "it is a link that leads to itself"),
     "nothing": (to("gone.png"), "is a link to gone.png, which is missing"),
     "missing": (lambda path: None, "is missing"),
@@ -63,7 +63,7 @@ def test_a_name_that_no_file_can_have_is_refused(tmp_path: Path) -> None:
 def test_a_file_is_read_up_to_the_limit_and_not_beyond(tmp_path: Path) -> None:
     (tmp_path / "it").write_bytes(b"1234")
     assert read_regular(tmp_path / "it", 4) == b"1234"
-    with pytest.raises(FileError, match="has 4 bytes; at most 3 are expected"):
+    with pytest.raises(FileError, match="has 4 bytes, more than the 3 that it may have"):
         read_regular(tmp_path / "it", 3)
 
 
@@ -82,5 +82,5 @@ def test_a_capture_of_what_is_no_picture_names_each(tmp_path: Path, store: Store
 def test_a_mask_that_is_a_pipe_is_refused(tmp_path: Path, store: Store) -> None:
     folder = one_camera_capture(tmp_path / "c", ["C"], mask="mask.png")
     os.mkfifo(folder / "mask.png")
-    with pytest.raises(RequestError, match=r"is a pipe; a file is expected; capture\.yaml names it as the mask"):
+    with pytest.raises(RequestError, match=r"is a pipe, and no file; capture\.yaml names it as the mask"):
         import_capture(folder, store)
