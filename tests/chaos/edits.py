@@ -21,7 +21,7 @@ from tests.chaos.outcome import WrongError
 from tests.scenes import write_capture
 
 KINDS = ("a source file", "the pipeline", "an item", "the session", "an option", "a library")
-TRIALS = 48
+TRIALS = 42
 STAGES = {name: f"stages.{name}" for name in ("register", "split", "stack", "normals")}
 DARK = {"dark": "stages.calibration.dark"}
 ALL = frozenset(STAGES)

@@ -19,7 +19,7 @@ from typing import Any
 from tests.chaos.bench import REPOSITORY, Bench, Command, Trial, files_of, results, tree
 from tests.chaos.outcome import UnclearError, WrongError
 
-TRIALS = 64
+TRIALS = 56
 CALLS = (
     "openat,write,pwrite64,fsync,fdatasync,rename,renameat,renameat2,link,linkat,unlink,unlinkat,mkdir,mkdirat,"
     "symlink,symlinkat,rmdir,utimensat,ftruncate,close,newfstatat,getdents64,copy_file_range,sendfile"
