@@ -27,7 +27,7 @@ KINDS = (
     "in another order",
     "threads and a cluster",
 )
-TRIALS = 32
+TRIALS = 24
 
 
 def kind(seed: int) -> str:

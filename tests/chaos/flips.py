@@ -15,7 +15,7 @@ from pathlib import Path
 from tests.chaos.bench import Trial, files_of, tree
 from tests.chaos.outcome import WrongError
 
-TRIALS = 150
+TRIALS = 120
 KINDS = ("a bit", "a byte", "a truncated file", "two files exchanged", "a file removed", "zeros")
 
 

@@ -19,7 +19,7 @@ from typing import Any
 from tests.chaos.bench import REPOSITORY, Bench, Command, Trial, files_of, results, tree
 from tests.chaos.outcome import UnclearError, WrongError
 
-TRIALS = 64
+TRIALS = 56
 CALLS = (
     "openat,write,pwrite64,fsync,fdatasync,rename,renameat,renameat2,link,linkat,unlink,unlinkat,mkdir,mkdirat,"
     "symlink,symlinkat,rmdir,utimensat,ftruncate,close,newfstatat,getdents64,copy_file_range,sendfile"
@@ -109,6 +109,11 @@ def again(made: Trial, operation: str, words: tuple[Any, ...], said: str) -> Non
         answer = made.command(*words).clear()
         if answer.code == 2 and operation != "remove":
             raise UnclearError(f"{said}; done again: {answer}")
+    if operation == "upgrade":
+        wanted = results(made.bench.once("upgraded", _upgraded))
+        if results(made.store) != wanted:
+            raise WrongError(f"{said}; what the upgrade gives is another")
+        made.command("verify").done()
     if operation in ("remove", "upgrade"):
         made.command("import", made.bench.capture).done()
     made.run().done()
@@ -141,6 +146,11 @@ def _reference(made: Trial, operation: str) -> dict[str, Any]:
 
     store = made.bench.once(f"undisturbed {operation}", undisturbed)
     return {"results": results(store), "files": leftovers(store)}
+
+
+def _upgraded(room: Path, bench: Bench) -> None:
+    other = Trial(bench, room, 0)
+    other.command(*prepare(other, "upgrade")).done()
 
 
 def _first_difference(found: dict[str, str], wanted: dict[str, str]) -> str:

@@ -32,7 +32,7 @@ KINDS = (
     "options",
     "a large pipeline",
 )
-TRIALS = 140
+TRIALS = 119
 MEMORY = 2_000_000_000
 SCALARS = (
     "1e999", "-1e999", ".nan", ".inf", "-0.0", "1e308", "5e-324", "9" * 5000, "-" + "9" * 5000,

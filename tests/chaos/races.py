@@ -41,7 +41,7 @@ PAIRS = (
     ("run", "another request"),
     ("import", "import"),
 )
-TRIALS = 5 * len(PAIRS)
+TRIALS = 4 * len(PAIRS)
 CHANGED = "0004_Xc_576nm_CAM1.png"
 
 
