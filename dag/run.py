@@ -82,7 +82,8 @@ def _heal(damage: DamagedChunkError, store: Store, watcher: Watcher) -> None:
     found = verify(store).damaged
     for one in found:
         watcher.warn(f"{one.path} was damaged: {one.belongs_to}; {one.remedy}")
-    lasting = [one for one in found if not one.recomputable]
+    # damage to another session is told, and does not stop this one
+    lasting = [one for one in found if not one.recomputable and one.path == store.chunks.path(damage.blob)]
     if lasting or not (found or not store.chunks.path(damage.blob).exists()):
         remedy = lasting[0].remedy if lasting else "check the disk"
         raise WorkError(f"{damage}; {remedy}") from None

@@ -342,7 +342,7 @@ def read_item(path: Path, chunks: Chunks, *, kind: str | None = None) -> tuple[I
     if problems:
         raise RequestError("\n".join(problems))
     item = Item(found, item_digest(values, pictures), values, notes, pictures)
-    return item, path.read_bytes()
+    return item, source.text.encode()
 
 
 def item_digest(values: Mapping[str, Any], pictures: Mapping[str, StoredPicture]) -> str:

@@ -69,6 +69,7 @@ class Chunks:
         self._scratch = scratch
         self._flusher = Flusher()
         self._recent: OrderedDict[str, NDArray[Any]] = OrderedDict()
+        self._recent_bytes = 0
         self._lock = threading.Lock()
 
     def __reduce__(self) -> tuple[type, tuple[Path, Scratch]]:
@@ -123,10 +124,11 @@ class Chunks:
         view = array.view()
         view.flags.writeable = False
         with self._lock:
+            former = self._recent.pop(blob, None)
             self._recent[blob] = view
-            self._recent.move_to_end(blob)
-            while sum(kept.nbytes for kept in self._recent.values()) > RECENT_BYTES:
-                self._recent.popitem(last=False)
+            self._recent_bytes += view.nbytes - (0 if former is None else former.nbytes)
+            while self._recent_bytes > RECENT_BYTES:
+                self._recent_bytes -= self._recent.popitem(last=False)[1].nbytes
 
     def flush(self) -> None:
         """Wait until everything that was put is on the disk: the barrier before anything refers to it."""

@@ -57,8 +57,13 @@ class Document:
     name: str
     value: Any
     marks: Mapping[Where, tuple[int, int]] = field(repr=False)
-    digest: str = ""
-    """Of the text."""
+    text: str = field(default="", repr=False)
+    """The file, as it was read."""
+
+    @property
+    def digest(self) -> str:
+        """Of the text."""
+        return digest_bytes(self.text.encode())
 
     def at(self, where: Where) -> str:
         """`file:line:column` of a value, or of the nearest thing around it that has a place."""
@@ -103,7 +108,7 @@ def parse(text: str, *, name: str) -> Document:
     except (yaml.YAMLError, UnicodeError) as error:
         raise RequestError(f"{name}: not valid YAML: {' '.join(str(error).split())}") from None
     raise_all(builder.problems)
-    return Document(name, builder.value, builder.marks, digest_bytes(text.encode()))
+    return Document(name, builder.value, builder.marks, text)
 
 
 def scalar(text: str) -> Any:

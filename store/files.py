@@ -18,6 +18,7 @@ import stat
 import threading
 import time
 import weakref
+from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
@@ -329,7 +330,7 @@ class Flusher:
 
     def __init__(self) -> None:
         self._pool: ThreadPoolExecutor | None = None
-        self._pending: list[Future[None]] = []
+        self._pending: deque[Future[None]] = deque()
         self._lock = threading.Lock()
 
     def add(self, path: Path) -> None:
@@ -337,7 +338,9 @@ class Flusher:
         with self._lock:
             if self._pool is None:
                 self._pool = ThreadPoolExecutor(4, thread_name_prefix="flush")
-            self._pending = [f for f in self._pending if not f.done() or f.exception()]
+            # from the front, where the oldest are; what failed stays, for `wait` to say
+            while self._pending and self._pending[0].done() and not self._pending[0].exception():
+                self._pending.popleft()
             self._pending.append(self._pool.submit(_flush, path))
 
     def wait(self) -> None:
@@ -347,7 +350,7 @@ class Flusher:
             WorkError: the disk is full.
         """
         with self._lock:
-            pending, self._pending = self._pending, []
+            pending, self._pending = self._pending, deque()
         for future in pending:
             future.result()
 

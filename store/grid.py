@@ -4,7 +4,6 @@ With `store.checked`, the only module that imports zarr. It writes metadata and 
 chunks already, encoded by `store.chunks` just as these arrays declare, and are linked into place.
 """
 
-import os
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -14,7 +13,10 @@ from typing import Any
 from store.chunks import ChunkIndex, ChunkRef, Chunks, shuffle_for
 from store.errors import DamagedChunkError, DamagedFileError, DamagedGroupError
 from store.files import link_or_copy
-from store.notes import read_note
+from store.notes import chunk_file, read_note
+
+FLAT: Any = {"name": "default", "separator": "."}
+"""How chunk files are named (zarr v3): `c.0.0.0`, where the default would make a folder for each dimension."""
 
 
 @dataclass(frozen=True)
@@ -86,17 +88,12 @@ def write_group(
             fill_value=array.fill,
             dimension_names=array.dims,
             compressors=BloscCodec(cname="lz4", clevel=1, shuffle=shuffle_for(array.chunk)),
+            chunk_key_encoding=FLAT,
             attributes=dict(array.attrs),
         )
-        made: set[str] = set()
         for index, ref in chunks[name].items():
-            target = os.path.join(folder, name, "c", *map(str, index))
-            parent = os.path.dirname(target)
-            if parent not in made:
-                os.makedirs(parent, exist_ok=True)
-                made.add(parent)
             try:
-                link_or_copy(source.path(ref.blob), Path(target))
+                link_or_copy(source.path(ref.blob), folder / chunk_file(name, index))
             except FileNotFoundError:
                 raise DamagedChunkError(f"the stored chunk {source.path(ref.blob)} is gone", ref.blob) from None
     for name, coordinate in coordinates.items():
@@ -107,6 +104,7 @@ def write_group(
             shape=values.shape,
             dtype="str" if text else values.dtype,
             dimension_names=coordinate.dims,
+            chunk_key_encoding=FLAT,
             attributes=dict(coordinate.attrs),
             **({} if text else {"fill_value": values.dtype.type(0)}),
         )

@@ -48,8 +48,8 @@ def note_path(group: Path) -> Path:
 
 
 def chunk_file(array: str, index: ChunkIndex) -> str:
-    """Where a chunk lies in a group, after zarr's default naming."""
-    return f"{array}/c/{'/'.join(map(str, index))}"
+    """Where a chunk lies in a group: zarr's default naming with a dot, so that an array is one folder."""
+    return f"{array}/{'.'.join(['c', *map(str, index)])}"
 
 
 def write_note(scratch: Scratch, group: Path, written: Path, chunks: Placed, made: Mapping[str, Any]) -> None:
@@ -67,7 +67,7 @@ def write_note(scratch: Scratch, group: Path, written: Path, chunks: Placed, mad
         **made,
         "group": own_place(group),
         "chunks": {
-            array: {"/".join(map(str, index)): ref.as_plain() for index, ref in placed.items()}
+            array: {".".join(map(str, index)): ref.as_plain() for index, ref in placed.items()}
             for array, placed in chunks.items()
         },
         "files": {name: digest_bytes(path.read_bytes()) for name, path in below.items() if name not in links},
@@ -87,7 +87,7 @@ def read_note(group: Path) -> Note:
     made = unseal(path.read_bytes(), path, remedy)
     try:
         links = {
-            f"{array}/c/{index}": ChunkRef.from_plain(ref)
+            f"{array}/c.{index}": ChunkRef.from_plain(ref)
             for array, refs in made["chunks"].items()
             for index, ref in refs.items()
         }

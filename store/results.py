@@ -87,7 +87,7 @@ def lacks(path: Path, made: Mapping[str, Any]) -> list[str]:
     missing = [name for name in wanted if not (path / name).is_file()]
     for array, refs in made.get("chunks", {}).items():
         missing += [
-            f"{array}/c/{index}" for index, ref in refs.items() if not _has(path, f"{array}/c/{index}", ref[2])
+            f"{array}/c.{index}" for index, ref in refs.items() if not _has(path, f"{array}/c.{index}", ref[2])
         ]
     return missing
 

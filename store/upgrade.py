@@ -15,16 +15,18 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from dataclasses import replace as changed
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from store import marker
 from store.calibration import get_item, item_names
 from store.chunks import ChunkRef
+from store.digest import digest_bytes
 from store.errors import LightstageError, RequestError, WorkError
-from store.files import delete, disk_faults_named, replace
+from store.files import delete, disk_faults_named, files_below, replace
 from store.marker import FORMAT, DamagedMarkerError, Marker
-from store.notes import own_place
+from store.notes import digest_of, own_place
 from store.records import BlockRecord
 from store.root import Store
 from store.sealed import is_sealed, seal
@@ -121,11 +123,12 @@ def _refuse_company(store: Store) -> None:
 
 
 def _seal_all(store: Store, done: Upgraded, progress: Progress) -> None:
-    """1 -> 2: sessions, items, records and notes are sealed, groups of pictures noted, and short cuts dropped."""
+    """1 -> 2: sessions, items, records and notes are sealed, groups of pictures noted, and short cuts dropped; an
+    array's chunk files are in one folder."""
     work: list[tuple[str, Callable[[bytes, Path], bytes], list[Path]]] = [
         ("items", _sealed_item, sorted(store.calibration.glob("*/item.json"))),
         ("sessions", _sealed_session, sorted(store.sessions.glob("*/session.json"))),
-        ("results", _sealed_note, sorted(store.results.glob("*/*/*-*.json"))),
+        ("results", partial(_flat_note, store), sorted(store.results.glob("*/*/*-*.json"))),
         ("records", _sealed_record, list(store.records.files("blocks"))),
     ]
     for kind, sealed, paths in work:
@@ -165,12 +168,59 @@ def _sealed_session(data: bytes, path: Path) -> bytes:
     return seal(json.loads(data))
 
 
-def _sealed_note(data: bytes, path: Path) -> bytes:
+def _flat_note(store: Store, data: bytes, path: Path) -> bytes:
+    """The note of a group, whose chunk files are named in one folder an array from now on."""
+    plain, group = json.loads(data), path.with_suffix("")
+    chunks = {
+        array: {index.replace("/", "."): ChunkRef.from_plain(ref).as_plain() for index, ref in refs.items()}
+        for array, refs in plain["chunks"].items()
+    }
+    own = dict(plain["files"])
+    if group.is_dir():
+        for name, digest in own.items():
+            _refuse_damaged(group, name, digest)
+        _flatten(store, group)
+        own = {_flat_name(name): str(digest_of(group / _flat_name(name))) for name in own}
+    return seal({**plain, "chunks": chunks, "files": own, "group": own_place(group)}, indent=1)
+
+
+def _flat_name(name: str) -> str:
+    """`band/c/0/1` is `band/c.0.1`."""
+    array, found, index = name.partition("/c/")
+    return f"{array}/c.{index.replace('/', '.')}" if found else name
+
+
+def _refuse_damaged(group: Path, name: str, digest: str) -> None:
+    """What is carried over must be what was noted, unless this command has carried it over before."""
+    path = group / name
+    try:
+        data = (path if path.exists() else group / _flat_name(name)).read_bytes()
+    except OSError:
+        raise ValueError(path) from None
+    if digest_bytes(data) != digest and not (path.name == "zarr.json" and data == _flat_metadata(data)):
+        raise ValueError(path)
+
+
+def _flatten(store: Store, group: Path) -> None:
+    for nested in sorted(path for path in group.glob("*/c") if path.is_dir()):
+        for entry in list(files_below(nested)):
+            os.rename(entry.path, group / _flat_name(Path(entry.path).relative_to(group).as_posix()))
+        delete(nested)
+    # the metadata last: until then it is as it was noted
+    for path in [*sorted(group.glob("*/zarr.json")), group / "zarr.json"]:
+        data = path.read_bytes()
+        if data != _flat_metadata(data):
+            replace(store.scratch, path, _flat_metadata(data), durable=False)
+
+
+def _flat_metadata(data: bytes) -> bytes:
+    """A zarr.json whose arrays name their chunks so."""
     plain = json.loads(data)
-    for refs in plain["chunks"].values():
-        for ref in refs.values():
-            ChunkRef.from_plain(ref)
-    return seal({**plain, "files": dict(plain["files"]), "group": own_place(path.with_suffix(""))}, indent=1)
+    consolidated = (plain.get("consolidated_metadata") or {}).get("metadata") or {}
+    for array in [plain, *consolidated.values()]:
+        if array["node_type"] == "array":
+            array["chunk_key_encoding"] = {"name": "default", "configuration": {"separator": "."}}
+    return json.dumps(plain, indent=2).encode()
 
 
 def _sealed_record(data: bytes, path: Path) -> bytes:

@@ -268,8 +268,10 @@ def _owners(
         elif view.session is None:
             node = f"{view.group.parent.parent.name}/{view.group.parent.name}"
             for file, blob in view.links.items():
-                array, _, index = file.partition("/c/")
-                owners[blob] = _Owner(f"{node}, array {array}, chunk {index}", _AGAIN, True, view.group)
+                array, _, index = file.partition("/c.")
+                owners[blob] = _Owner(
+                    f"{node}, array {array}, chunk {index.replace('.', '/')}", _AGAIN, True, view.group
+                )
     for item in items:
         path = store.calibration / item.name
         for camera, picture in item.pictures.items():
@@ -393,7 +395,7 @@ def _quarantine(store: Store, bad: set[str], views: Iterable[_View]) -> None:
 
 _BLOB = re.compile(r"[0-9a-f]{32}")
 _GROUP = re.compile(rf"[0-9a-f]{{{SHORT}}}-[0-9a-f]{{{SHORT}}}")
-_CHUNK = re.compile(r"/c/[0-9/]+$")
+_CHUNK = re.compile(r"/c(\.[0-9]+)*$")
 _RAW = rf"\.raw-[0-9a-f]{{{SHORT}}}"
 _OURS = {
     "sessions": re.compile(rf"[^/]+/(session\.json|\.lock|raw\.zarr(/.*)?|raw\.json|{_RAW}\.json|{_RAW}\.zarr/.*)"),

@@ -30,7 +30,7 @@ def places(store: Path) -> dict[str, list[Path]]:
     for path in files_of(store):
         if path.is_file() and not path.is_symlink():
             place = re.sub(r"[0-9a-f]{6,}", "#", path.relative_to(store).as_posix())
-            place = re.sub(r"/[0-9a-f]{2}/", "/#/", re.sub(r"/c/.*", "/c", place))
+            place = re.sub(r"/[0-9a-f]{2}/", "/#/", re.sub(r"/c\..*", "/c", place))
             found.setdefault(place, []).append(path)
     return found
 

@@ -155,7 +155,7 @@ def test_a_store_must_be_a_folder_of_its_own(lightstage: Lightstage, sphere: Pat
     new = tmp_path / "newer"
     new.mkdir()
     (new / "store.json").write_text('{"format": "lightstage-store/9"}')
-    assert "this program reads lightstage-store/1" in lightstage("status", store=new).err
+    assert "made by a newer lightstage (format 9); this program reads 2" in lightstage("status", store=new).err
 
 
 def test_binding_another_item_is_what_later_runs_use(lightstage: Lightstage, ball: Path, tmp_path: Path) -> None:

@@ -113,7 +113,7 @@ def test_by_hand() -> None:
         (("upsampel", "--format", "mp4"), "no result of 'upsampel'"),
         (("capture", "--format", "mp4"), "has no normals in time"),
         (("upsample", "--format", "mp4", "--fps", "0"), "between 0.1 and 120"),
-        (("upsample", "--format", "mp4", "--fps", "nan"), "between 0.1 and 120"),
+        (("upsample", "--format", "mp4", "--fps", "nan"), "a finite number"),
         (("upsample", "--format", "png", "--fps", "5"), "only a film has it"),
     ],
 )

@@ -302,7 +302,7 @@ def test_a_damaged_result_is_found_quarantined_and_made_again(
 ) -> None:
     store = tmp_path / "store"
     folder = Path(lightstage("path", "stack", "--session", "ball").out.strip())
-    victim = folder / "radiance" / "c" / "2" / "0" / "0" / "0" / "0"
+    victim = folder / "radiance" / "c.2.0.0.0.0"
     good = victim.read_bytes()
     data = bytearray(good)
     data[len(data) // 2] ^= 4
@@ -321,7 +321,7 @@ def test_a_damaged_result_is_found_quarantined_and_made_again(
 
 def test_a_file_that_replaced_a_link_is_found_too(lightstage: Lightstage, ball: Path) -> None:
     folder = Path(lightstage("path", "stack", "--session", "ball").out.strip())
-    victim = folder / "radiance" / "c" / "2" / "0" / "0" / "0" / "0"
+    victim = folder / "radiance" / "c.2.0.0.0.0"
     data = bytearray(victim.read_bytes())
     data[-1] ^= 1
     victim.unlink()
@@ -336,7 +336,7 @@ def test_damage_met_on_the_way_is_healed_in_the_same_run(
     lightstage: Lightstage, ball: Path, tmp_path: Path
 ) -> None:
     folder = Path(lightstage("path", "stack", "--session", "ball").out.strip())
-    victim = folder / "radiance" / "c" / "1" / "0" / "0" / "0" / "0"
+    victim = folder / "radiance" / "c.1.0.0.0.0"
     data = bytearray(victim.read_bytes())
     data[-1] ^= 1
     with open(victim, "r+b") as file:
@@ -444,7 +444,7 @@ def test_labels_that_change_alone_reach_the_results_and_cost_nothing(lightstage:
 
 def test_files_that_somebody_deleted_are_noticed_and_linked_again(lightstage: Lightstage, ball: Path) -> None:
     group = result(lightstage, "normals")
-    chunk, metadata = group / "albedo" / "c" / "0" / "0" / "0" / "0", group / "albedo" / "zarr.json"
+    chunk, metadata = group / "albedo" / "c.0.0.0.0", group / "albedo" / "zarr.json"
     chunk.unlink()
     assert (
         lightstage("status", "--session", "ball", "--json").json["sessions"]["ball"]["normals"]["status"]
@@ -465,7 +465,7 @@ def test_files_that_somebody_deleted_are_noticed_and_linked_again(lightstage: Li
 
 
 def test_a_flipped_byte_in_a_coordinate_is_found(lightstage: Lightstage, ball: Path) -> None:
-    flip(result(lightstage, "stack") / "frame" / "c" / "0")
+    flip(result(lightstage, "stack") / "frame" / "c.0")
     assert lightstage("verify").code == 1
     assert run(lightstage) == {}
     assert lightstage("verify").code == 0
@@ -475,14 +475,14 @@ def test_many_damaged_chunks_are_healed_at_once(lightstage: Lightstage, ball: Pa
     group = result(lightstage, "stack")
     # not C, whose diffuse picture is the albedo too, and so the same stored chunk
     for illumination in range(1, 7):
-        flip(group / "radiance" / "c" / str(illumination) / "0" / "0" / "0" / "0")
-    flip(result(lightstage, "register") / "signal" / "c" / "0" / "0" / "1" / "0" / "0")
+        flip(group / "radiance" / f"c.{illumination}.0.0.0.0")
+    flip(result(lightstage, "register") / "signal" / "c.0.0.1.0.0")
     again = run(lightstage, "--set", "normals.method=minimal")
     assert again["stack"] == 6
     assert again["register"] == 1
-    flip(result(lightstage, "stack") / "radiance" / "c" / "3" / "0" / "0" / "0" / "0")
+    flip(result(lightstage, "stack") / "radiance" / "c.3.0.0.0.0")
     assert lightstage("verify").code == 1
-    flip(result(lightstage, "register") / "signal" / "c" / "1" / "0" / "1" / "0" / "0")
+    flip(result(lightstage, "register") / "signal" / "c.1.0.1.0.0")
     assert lightstage("verify").code == 1
     assert run(lightstage) == {"register": 1, "stack": 1, "align": 1}
 

@@ -68,8 +68,8 @@ KIND = {
     "raw note": "sessions/ball/.raw-*.json",
     "raw metadata": "sessions/ball/.raw-*.zarr/zarr.json",
     "raw array metadata": "sessions/ball/.raw-*.zarr/raw/zarr.json",
-    "raw coordinate": "sessions/ball/.raw-*.zarr/band/c/0",
-    "raw picture": "sessions/ball/.raw-*.zarr/raw/c/2/0/1/0/0",
+    "raw coordinate": "sessions/ball/.raw-*.zarr/band/c.0",
+    "raw picture": "sessions/ball/.raw-*.zarr/raw/c.2.0.1.0.0",
     "item.json": "calibration/homography-*/item.json",
     "item.yaml": "calibration/homography-*/item.yaml",
     "block record": "cache/blocks/*/*.json",
@@ -79,8 +79,8 @@ KIND = {
     "current": "results/ball/stack/current",
     "metadata": "results/ball/stack/*-*/zarr.json",
     "array metadata": "results/ball/stack/*-*/radiance/zarr.json",
-    "coordinate": "results/ball/stack/*-*/illumination/c/0",
-    "chunk": "results/ball/stack/*-*/radiance/c/3/0/0/0/0",
+    "coordinate": "results/ball/stack/*-*/illumination/c.0",
+    "chunk": "results/ball/stack/*-*/radiance/c.3.0.0.0.0",
 }
 ONLY_AN_IMPORT_MENDS = ("session.json", "raw picture", "item.json")
 
@@ -181,7 +181,7 @@ def test_two_chunk_files_exchanged_are_found(ball: Path, made: Path, lightstage:
     """Each is intact, and is not what belongs there."""
     groups = current_path("ball", "stack", Store(ball)) / "radiance", ball / "sessions/ball/raw.zarr/raw"
     for folder in groups:
-        a, b = (sorted(folder.resolve().glob(f"c/{i}/**/0"))[-1] for i in (1, 2))
+        a, b = (sorted(folder.resolve().glob(f"c.{i}.*"))[-1] for i in (1, 2))
         was = a.read_bytes(), b.read_bytes()
         for source, target in ((a, a.with_name("aside")), (b, a), (a.with_name("aside"), b)):
             os.rename(source, target)
@@ -198,11 +198,11 @@ def test_what_is_not_read_costs_nothing_and_what_is_not_named_is_not_there(ball:
     group = current_path("ball", "stack", Store(ball))
     opened = open_dataset(group)
     good = opened.radiance.values[:3]
-    flip(group / "radiance/c/3/0/0/0/0")
+    flip(group / "radiance/c.3.0.0.0.0")
     np.testing.assert_array_equal(open_dataset(group).radiance.isel(illumination=slice(3)).values, good)
     with pytest.raises(DamagedGroupError, match="its bytes are not the ones that were stored"):
         open_dataset(group).radiance.isel(illumination=3).load()
-    (group / "radiance/c/2/0/0/0/0").unlink()  # plain zarr takes it for NaN
+    (group / "radiance/c.2.0.0.0.0").unlink()  # plain zarr takes it for NaN
     with pytest.raises(DamagedGroupError, match="cannot be read"):
         open_dataset(group).radiance.isel(illumination=2).load()
 
@@ -211,9 +211,8 @@ def test_a_stray_chunk_is_damage_and_a_stray_file_is_named(ball: Path, lightstag
     group = current_path("ball", "stack", Store(ball))
     lightstage("run", "--session", "ball", "--frames", "0:3", "--json")
     part = current_path("ball", "register", Store(ball))
-    stray = part / "signal/c/5/0/0/0/0"
-    stray.parent.mkdir(parents=True)
-    shutil.copy(part / "signal/c/1/0/0/0/0", stray)
+    stray = part / "signal/c.5.0.0.0.0"
+    shutil.copy(part / "signal/c.1.0.0.0.0", stray)
     assert np.isnan(open_dataset(part).signal.values[5]).all()
     notes = [group / ".DS_Store", ball / "sessions/ball/mine.txt", ball / "cache/blobs/note.txt"]
     for note in notes:
@@ -272,7 +271,7 @@ def test_a_damaged_record_is_computed_again_and_does_not_stand_in_the_way(
 
 def test_a_command_that_computes_heals_what_it_meets(ball: Path, lightstage: Lightstage) -> None:
     assert lightstage("run", "--session", "ball").code == 0
-    flip(current_path("ball", "stack", Store(ball)) / "radiance/c/0/0/0/0/0")
+    flip(current_path("ball", "stack", Store(ball)) / "radiance/c.0.0.0.0.0")
     done = lightstage("normals", "ball")  # its picture shows the constant light
     assert done.code == 0, done.err
     assert "was damaged: ball/stack, array radiance, chunk 0/0/0/0/0; the next run makes it again" in done.err
