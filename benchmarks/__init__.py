@@ -1,6 +1,7 @@
 """Every speed and accuracy figure in README and docs, runnable as `python -m benchmarks.NAME`.
 
     kernels       the per-pixel kernels against numpy, OpenCV and a copy of the same bytes
+    store         what the care of the store costs: a cached run, verify
     pipeline      whole runs: end to end, cached, memory, processes
     accuracy      degrees against truth; writes docs/accuracy.md and its figures
     calibration   items against truth

@@ -40,16 +40,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     warm()
     began = time.monotonic()
     work = _room()
+    outcomes: list[Outcome] = []
     try:
         outcomes = _all_trials(options, Bench(work / "bench"), work)
     finally:
-        if not options.keep:
+        failed = not outcomes or any(outcome.verdict not in ("held", "skipped") for outcome in outcomes)
+        if not (options.keep and failed):
             shutil.rmtree(work, ignore_errors=True)
     made = table(outcomes)
     print(f"\n{made}\n\n{len(outcomes)} trials in {time.monotonic() - began:.0f} s")
     if options.table is not None:
         _write_table(options.table, made)
-    return 1 if any(outcome.verdict not in ("held", "skipped") for outcome in outcomes) else 0
+    return int(failed)
 
 
 def _room() -> Path:
