@@ -47,8 +47,8 @@ def gc(store: Store, *, grace_s: float, dry_run: bool, before: Callable[[Path], 
 
     In use are: all sessions, the calibration items bound to them, and per node the result that `current` names
     and, while that is a partial one, the newest complete one. Anything younger than `grace_s` seconds stays,
-    because a run in progress may be about to use it; so does, whatever the grace, what is used while gc works. Damaged
-    chunks leave the quarantine at that age.
+    because a run in progress may be about to use it; so does, whatever the grace, what is used while gc works.
+    Damaged chunks leave the quarantine at that age.
 
     Args:
         store: where.
