@@ -411,28 +411,38 @@ NOTES = """
 ## On other processors
 
 numpy, OpenCV and numba pick their instructions by the processor, and each choice ends in other last bits: sums in another
-order, logarithms and exponentials off by a last digit, blurs with and without fused products. Results of a still capture are
-equal to rounding all the same. Before they are rounded for storage normals are within 1e-4 degrees and all else within 1e-5 of its
-value (of the array's median, where the value is smaller); what is stored in steps (normals, visibility, registered counts)
-is within one step, and in fewer than 0.1 % of values. `tests/test_processors.py` holds it on all nodes of `pipeline.yaml`;
-a second result under one key that differs by no more is no fault. `make test-processors` runs all tests under each setting.
+order, logarithms and exponentials off by a last digit, blurs with and without fused products. Results are equal to rounding
+all the same. Before they are rounded for storage normals are within 1e-4 degrees and all else within 1e-5 of its value (of the
+array's median, where the value is smaller); what is stored in steps (normals, visibility, registered counts) is within one
+step, and in fewer than 0.1 % of values. `tests/test_processors.py` holds it on all nodes of `pipeline.yaml` for a still head,
+and for a performance on those that run unasked; a second result under one key that differs by no more is no fault.
+`make test-processors` runs all tests under each setting.
 
-`python -m benchmarks.processors`, largest differences over all nodes of the virtual rig's head to the processor as it is
-(AVX-512), 203 x 154:
+`python -m benchmarks.processors --size 128x96`, largest differences over these nodes to the processor as it is (AVX-512); the
+performance is the shortest one with two full windows:
 
-| setting | normals, degrees | all else, relative | another step | where most |
-|---|---|---|---|---|
-| numpy narrower | 3e-13 | 0e+00 | 0.0000% | - |
-| OpenCV narrower | 2e-13 | 5e-06 | 0.0000% | chromophores/residual |
-| numba narrower | 0e+00 | 0e+00 | 0.0000% | - |
+| subject | setting | normals, degrees | all else, relative | another step | where most |
+|---|---|---|---|---|---|
+| head | numpy narrower | 1e-13 | 0e+00 | 0.0000% | - |
+| head | OpenCV narrower | 2e-13 | 3e-06 | 0.0000% | chromophores/residual |
+| head | numba narrower | 0e+00 | 0e+00 | 0.0000% | - |
+| performer | numpy narrower | 8e-06 | 2e-07 | 0.0010% | align/confidence |
+| performer | OpenCV narrower | 0e+00 | 0e+00 | 0.0000% | - |
+| performer | numba narrower | 0e+00 | 0e+00 | 0.0000% | - |
 
 What is left comes from OpenCV's remap in float32, its blurs, and the order of sums. Not settled are
 another BLAS, which is left as the machine sets it, another mathematics library
 of the system, and the virtual rig's own pictures, in which a count may round to the next.
 
-A performance is not as tight yet: `align` moves pictures along a flow found by descent, much of it in float32. On a slow head
-of 128 x 96 numpy's instructions move upsampled normals by 7e-6 degrees; numba's move the flow by up to 1e-4 of itself and
-normals by 0.0024 degrees, OpenCV's by 3e-4 and 0.0033 degrees.
+Where a subject moves, a last bit is carried far: flows are found by descent, and pictures that differ by 1e-7 of themselves
+move them by 1e-4 to 1e-3 of themselves. So the engines `motion` and `joint` of `align` keep the order of all sums, and blurs
+before differences are our own (`stages/blurs.py`). OpenCV's flow between tracking frames, from which `motion` starts, differs by
+up to 0.001 px; it is blurred and taken in steps of 1/16 px at the nodes of a grid. By the differences on three scenes of
+298 x 182 a node takes another step in about one window of a hundred, and then what is said above does not hold for that window.
+
+The reference engines cannot be made so: OpenCV's own flows differ, and pictures reach DIS in 8 bits. With OpenCV narrower,
+on one textured scene of 298 x 182 (flows of 3 to 6 px), flows are apart by up to: `direct` 0.003 px; `alternating`, two
+iterations, with Farneback 0.00004 px, with TV-L1 0.013 px, with DIS 2.3 px (root mean square 0.09 px).
 """
 
 if __name__ == "__main__":

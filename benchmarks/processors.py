@@ -1,14 +1,15 @@
-"""How far the demo's results lie apart under settings that leave instructions of the processor out.
+"""How far results lie apart, of a still head and of a performance, under settings that leave instructions of the processor out.
 
 Prints the table of docs/accuracy.md, "On other processors". What is compared, and by what measure: tests/processors.py.
 """
 
 import argparse
+import itertools
 import sys
 import tempfile
 from pathlib import Path
 
-from tests.processors import DEGREES, IN_STEPS, RELATIVE, apart, results
+from tests.processors import DEGREES, IN_STEPS, RELATIVE, SETTINGS, apart, results
 
 
 def main() -> int:
@@ -18,10 +19,12 @@ def main() -> int:
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as work:
         found = results(Path(work), options.size)
-    whole = found.pop("as it is")
-    print("| setting | normals, degrees | all else, relative | another step | where most |")
-    print("|---|---|---|---|---|")
-    for setting, other in found.items():
+    print("| subject | setting | normals, degrees | all else, relative | another step | where most |")
+    print("|---|---|---|---|---|---|")
+    for session, setting in itertools.product(found, SETTINGS):
+        if setting == "as it is":
+            continue
+        whole, other = found[session]["as it is"], found[session][setting]
         degrees = relative = share = 0.0
         where = "-"
         for name, one in whole.items():
@@ -33,7 +36,7 @@ def main() -> int:
                 share = max(share, float(far.mean()))
             elif worst * RELATIVE > relative:
                 relative, where = worst * RELATIVE, name
-        print(f"| {setting} | {degrees:.0e} | {relative:.0e} | {share:.4%} | {where} |")
+        print(f"| {session} | {setting} | {degrees:.0e} | {relative:.0e} | {share:.4%} | {where} |")
     return 0
 
 

@@ -16,7 +16,6 @@ The layout is that of the figure "Alignment of spherical gradient images" in Dut
 
 import argparse
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,7 +24,9 @@ from typing import TYPE_CHECKING, Any
 from cli.film import colours, font
 from cli.show import Screen
 from cli.values import whole
-from store.errors import RequestError, WorkError
+from formats.png import encode_png
+from formats.whole_file import write_whole
+from store.errors import RequestError
 from store.root import Store
 
 if TYPE_CHECKING:
@@ -533,18 +534,7 @@ def _write(path: Path, picture: "NDArray[np.uint8]") -> None:
     """Whole or not at all.
 
     Raises:
-        WorkError: it cannot be written.
+        OSError: it cannot be written.
     """
-    import cv2
-
-    temporary = path.with_name(f".{path.stem}.part.png")
-    _, data = cv2.imencode(".png", picture[..., ::-1])
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_bytes(data.tobytes())
-        os.replace(temporary, path)
-    except OSError as error:
-        raise WorkError(f"{path} cannot be written ({error.strerror or error})") from None
-    finally:
-        if temporary.parent.is_dir():
-            temporary.unlink(missing_ok=True)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, encode_png(picture))

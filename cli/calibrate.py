@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from cli.run import versions
 from cli.show import RunWatcher, Screen
+from formats.whole_file import write_whole
 from store.errors import LightstageError, RequestError, WorkError
 from store.files import human_size
 from store.root import Store
@@ -211,16 +212,13 @@ def keep_item(content: Mapping[str, Any], session: "Session", store: Store) -> "
 
 def _write_out(folder: Path, out: Path) -> Path:
     """Copy a new item to where the user wants it, its pictures beside it; each file appears whole."""
-    import os
 
     target = out / next(folder.glob("*.yaml")).name if out.is_dir() or not out.suffix else out
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         for source in sorted(folder.iterdir(), key=lambda file: file.suffix == ".yaml"):  # the item last
             place = target if source.suffix == ".yaml" else target.parent / source.name
-            temporary = place.with_name(f".{place.name}.new")
-            shutil.copyfile(source, temporary)
-            os.replace(temporary, place)
+            write_whole(place, source.read_bytes())
     except OSError as error:
         raise WorkError(f"{target} cannot be written ({error.strerror}); the item is in the store") from None
     return target

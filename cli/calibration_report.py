@@ -6,13 +6,12 @@ One HTML file with its pictures in it, so that it can be sent and kept.
 import base64
 import html
 import io
-import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cli.figures import pyplot
-from store.errors import WorkError
+from formats.whole_file import write_whole
 from store.root import Store
 
 if TYPE_CHECKING:
@@ -62,13 +61,8 @@ def write_report(
         parts += ["<tr>" + "".join(f"<td>{html.escape(str(v))}</td>" for v in row) + "</tr>" for row in body]
         parts.append("</table>")
     parts.append("</body></html>\n")
-    temporary = path.with_name(f".{path.name}.new")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_text("\n".join(parts), encoding="utf-8")
-        os.replace(temporary, path)
-    except OSError as error:
-        raise WorkError(f"{path} cannot be written ({error.strerror})") from None
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, "\n".join(parts).encode())
 
 
 _Drawn = list[tuple[str, str, Any]]

@@ -164,6 +164,7 @@ def demo_session(store: Store, screen: Screen, *, name: str = "demo", **shot: An
     from hw.virtual_rig import Shot, capture
     from store.digest import SHORT, digest_value
 
+    store.scratch.make_folder(store.root / "captures")
     try:
         wanted = Shot(session=name, **shot)
         folder = store.root / "captures" / f"{name}-{digest_value(_options(wanted))[:SHORT]}"

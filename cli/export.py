@@ -6,7 +6,6 @@ looking; EXR holds float channels, with convention, frame and units in its heade
 """
 
 import argparse
-import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,10 @@ from typing import TYPE_CHECKING, Any
 from cli import film, mesh
 from cli.show import Screen
 from cli.values import number, whole
-from store.errors import RequestError, WorkError
+from formats.exr import DATA, write_exr
+from formats.png import encode_png
+from formats.whole_file import whole_file
+from store.errors import RequestError
 from store.root import Store
 
 if TYPE_CHECKING:
@@ -200,47 +202,32 @@ def _write(file: Path, plane: Plane, form: str, convention: str, header: dict[st
         "frame": FRAME,
         "convention": CONVENTIONS[convention] if plane.kind == "normal" else "linear",
     }
-    temporary = file.with_name(f".{file.name}.part{file.suffix}")
-    try:
+    with whole_file(file) as beside:
         if form == "npy":
-            np.save(temporary.with_suffix(".npy"), values)
+            np.save(beside, values)
         elif form == "exr":
-            _write_exr(temporary, plane.kind, values, header)
+            said = {name: str(value) for name, value in header.items() if value != ""}
+            write_exr(beside, _channels(plane.kind, values), colour=DATA, **said)
         else:
-            _write_png(temporary, plane, values, 65535 if form == "png16" else 255)
-        os.replace(temporary, file)
-    except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise WorkError(f"{file} cannot be written ({error.strerror or error})") from None
+            beside.write_bytes(encode_png(_counts(plane, values, 65535 if form == "png16" else 255)))
 
 
-def _write_png(file: Path, plane: Plane, values: Any, top: int) -> None:
+def _counts(plane: Plane, values: Any, top: int) -> Any:
     """Normals as (n + 1) / 2, scalars from 0 to the array's full scale; black where not valid."""
-    import cv2
     import numpy as np
 
     dtype = np.uint16 if top > 255 else np.uint8
     if plane.kind == "normal":
-        unit = (values[..., ::-1] + 1) / 2  # OpenCV writes B, G, R
+        unit = (values + 1) / 2
     elif plane.kind == "mask":
         unit = values.astype(np.float32)
     else:
         unit = values / plane.full_scale
-    counts = np.nan_to_num(np.round(np.clip(unit, 0, 1) * top), nan=0.0).astype(dtype)
-    if not cv2.imwrite(str(file), counts):
-        raise WorkError(f"{file} cannot be written")
+    return np.nan_to_num(np.round(np.clip(unit, 0, 1) * top), nan=0.0).astype(dtype)
 
 
-def _write_exr(file: Path, kind: str, values: Any, header: dict[str, Any]) -> None:
-    """32-bit float channels: normal.X, normal.Y, normal.Z, or Y; NaN where not valid."""
-    import numpy as np
-    import OpenEXR
-
+def _channels(kind: str, values: Any) -> dict[str, Any]:
+    """Channels of an EXR: normal.X, normal.Y, normal.Z, or Y; NaN where not valid."""
     if kind == "normal":
-        parts = {f"normal.{axis}": np.ascontiguousarray(values[..., i], np.float32) for i, axis in enumerate("XYZ")}
-    else:
-        parts = {"Y": np.ascontiguousarray(values, np.float32)}
-    attributes = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    attributes |= {f"lightstage.{key}": str(value) for key, value in header.items() if value != ""}
-    with OpenEXR.File(attributes, parts) as exr:
-        exr.write(str(file))
+        return {f"normal.{axis}": values[..., i] for i, axis in enumerate("XYZ")}
+    return {"Y": values}

@@ -13,7 +13,6 @@ Frames are read, drawn and handed to the encoder one by one, so that memory does
 """
 
 import math
-import os
 import subprocess
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -24,6 +23,8 @@ from typing import TYPE_CHECKING, Any
 
 from cli.figures import fonts
 from cli.show import Screen
+from formats.png import encode_png
+from formats.whole_file import whole_file, write_whole
 from store.errors import RequestError, WorkError
 from store.root import Store
 
@@ -367,18 +368,12 @@ def write_film(path: Path, pictures: Iterable[Any], size: tuple[int, int], fps: 
     mp4: H.264, 4:2:0, index first, which browsers play. gif: a palette a frame, endless.
 
     Raises:
-        WorkError: it cannot be written, or there is no encoder.
+        OSError: it cannot be written.
+        WorkError: there is no encoder, or it gave up.
     """
-    temporary = path.with_name(f".{path.stem}.part{path.suffix}")
-    try:
-        with _encoder(temporary, path, size, fps) as send:
-            for picture in pictures:
-                send(picture.tobytes())
-        os.replace(temporary, path)
-    except OSError as error:
-        raise WorkError(f"{path} cannot be written ({error.strerror or error})") from None
-    finally:
-        temporary.unlink(missing_ok=True)
+    with whole_file(path) as beside, _encoder(beside, path, size, fps) as send:
+        for picture in pictures:
+            send(picture.tobytes())
 
 
 @contextmanager
@@ -448,22 +443,13 @@ def write_pictures(folder: Path, series: Series, pictures: Iterable[Any]) -> lis
     """The frames as PNG, numbered by the frame of the session.
 
     Raises:
-        WorkError: one cannot be written.
+        OSError: one cannot be written.
     """
-    import cv2
 
     files = []
     for frame, picture in zip(series.frames, pictures, strict=True):
         path = folder / f"{series.name}_{frame:04d}.png"
-        temporary = path.with_name(f".{path.stem}.part.png")
-        _, data = cv2.imencode(".png", picture[..., ::-1])
-        try:
-            temporary.write_bytes(data.tobytes())
-            os.replace(temporary, path)
-        except OSError as error:
-            raise WorkError(f"{path} cannot be written ({error.strerror or error})") from None
-        finally:
-            temporary.unlink(missing_ok=True)
+        write_whole(path, encode_png(picture))
         files.append(path)
     return files
 

@@ -250,7 +250,7 @@ def _write_maps(work: Path, material: Material) -> dict[str, dict[str, Any]]:
     import numpy as np
 
     from cli.mesh import filled
-    from cli.pictures import COLOUR, DATA, REC709, rgb, spectral, write_exr
+    from formats.exr import COLOUR, DATA, REC709, rgb, spectral, write_exr
 
     known, gloss = material.known, material.gloss
     files: dict[str, dict[str, Any]] = {}

@@ -13,14 +13,14 @@ normals, which the vertices then carry; in *object* space, the world's axes, the
 alone. Without a map the vertices carry the measured normals themselves.
 """
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cli.show import Screen
-from store.errors import RequestError, WorkError
+from formats.whole_file import write_whole
+from store.errors import RequestError
 from store.root import Store
 
 if TYPE_CHECKING:
@@ -230,7 +230,7 @@ def write_glb(
         roughness: of the whole surface, where there is no map.
 
     Raises:
-        WorkError: the file cannot be written.
+        OSError: the file cannot be written.
     """
     import numpy as np
     import trimesh
@@ -295,7 +295,7 @@ def write_mesh(
         space: of the normal map: tangent or object.
 
     Raises:
-        WorkError: a file cannot be written.
+        OSError: a file cannot be written.
     """
     import numpy as np
     import trimesh
@@ -368,16 +368,10 @@ def _write(contents: "Mapping[Path, bytes]") -> None:
     """Each file appears under its name when it is whole.
 
     Raises:
-        WorkError: one cannot be written.
+        OSError: one cannot be written.
     """
     for target, content in contents.items():
-        temporary = target.with_name(f".{target.name}.part")
-        try:
-            temporary.write_bytes(content)
-            os.replace(temporary, target)
-        except OSError as error:
-            temporary.unlink(missing_ok=True)
-            raise WorkError(f"{target} cannot be written ({error.strerror or error})") from None
+        write_whole(target, content)
 
 
 def camera_of(dataset: Any, node: str, session: "Session", store: Store) -> "Pinhole":

@@ -1,19 +1,11 @@
-"""Pictures for renderers: OpenEXR with its colour said, 16-bit PNG in sRGB, and environment maps read.
+"""Pictures of relit subjects: 16-bit PNG in sRGB, and environment maps read."""
 
-An EXR file says what its numbers are in two ways that others read: `chromaticities` (OpenEXR's own) and
-`colorInteropID`, the names that OpenColorIO configurations and OpenImageIO share: `lin_rec709_scene` is linear
-light in the primaries of Rec. 709 (sRGB), `data` no colour at all.
-
-Sources: OpenEXR, "Standard attributes"; the Color Interop Forum's identifiers; PNG (Third Edition) 11.3.2;
-Fichet, Pacanowski and Wilkie (2021), JCGT 10(3), for the names of spectral channels.
-"""
-
-import struct
-import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from formats.exr import COLOUR, REC709
+from formats.png import encode_png
 from store.errors import RequestError
 from store.intake import FileError, open_regular
 
@@ -21,60 +13,12 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-COLOUR, DATA = "lin_rec709_scene", "data"
-REC709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
-"""Red, green, blue and white, x and y each."""
 WIDEST = 1024
 """Columns of an environment; wider maps are averaged down to about this, finer than the lights made of them."""
 WIDEST_READ = 16384
 LARGEST_READ = 800 << 20
 """Bytes of an environment; 11,500 x 5,750 pixels of three channels are 794 MB, more than lights are made of."""
 _PRIMARIES_OFF = 0.002
-
-
-def write_exr(
-    file: Path, channels: "Mapping[str, NDArray[np.floating]]", *, colour: str, **attributes: str | float
-) -> None:
-    """Write 32-bit float channels (y, x), ZIP-compressed.
-
-    Args:
-        channels: by name.
-        colour: COLOUR or DATA.
-        attributes: more for the header, under `lightstage.`; text or numbers.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
-    import numpy as np
-    import OpenEXR
-
-    header: dict[str, Any] = {
-        "compression": OpenEXR.ZIP_COMPRESSION,
-        "type": OpenEXR.scanlineimage,
-        "colorInteropID": colour,
-        **{f"lightstage.{name}": value for name, value in attributes.items()},
-    }
-    if colour == COLOUR:
-        header["chromaticities"] = REC709
-    if any(name.startswith("T.") for name in channels):
-        header["spectralLayoutVersion"] = "1.0"
-    parts = {name: np.ascontiguousarray(values, np.float32) for name, values in channels.items()}
-    try:
-        with OpenEXR.File(header, parts) as exr:
-            exr.write(str(file))
-    except RuntimeError as error:
-        raise OSError(str(error)) from None
-
-
-def rgb(values: "NDArray[np.floating]", layer: str = "") -> "dict[str, NDArray[np.floating]]":
-    """The channels of a picture (y, x, 3 or 4): R, G, B and A, of a layer."""
-    prefix = f"{layer}." if layer else ""
-    return {f"{prefix}{name}": values[..., i] for i, name in enumerate("RGBA"[: values.shape[-1]])}
-
-
-def spectral(values: "NDArray[np.floating]", bands_nm: Sequence[float]) -> "dict[str, NDArray[np.floating]]":
-    """The channels of reflectance (band, y, x): T.407,0nm and so on, with a comma because a dot parts layers."""
-    return {f"T.{nm:.1f}nm".replace(".", ",").replace("T,", "T."): values[i] for i, nm in enumerate(bands_nm)}
 
 
 def png16(linear: "NDArray[np.floating]", alpha: "NDArray[np.bool_]", text: str) -> bytes:
@@ -85,29 +29,14 @@ def png16(linear: "NDArray[np.floating]", alpha: "NDArray[np.bool_]", text: str)
         alpha: (y, x): where the picture is opaque; it is black elsewhere.
         text: its `Comment`.
     """
-    import cv2
     import numpy as np
 
     from stages.colour import encode_srgb
 
     counts = np.zeros((*alpha.shape, 4), np.uint16)
-    shown = np.floor(65535 * encode_srgb(linear) + 0.5)
-    counts[..., :3] = np.where(alpha[..., None], shown, 0)[..., ::-1]  # OpenCV writes B, G, R, A
+    counts[..., :3] = np.where(alpha[..., None], np.floor(65535 * encode_srgb(linear) + 0.5), 0)
     counts[..., 3] = np.where(alpha, 65535, 0)
-    data = cv2.imencode(".png", counts)[1].tobytes()
-    start = 8 + 12 + 13  # the signature, and IHDR
-    order = (6, 7, 0, 1, 2, 3, 4, 5)  # cHRM has white first
-    told = (
-        _chunk(b"cHRM", struct.pack(">8I", *(round(100000 * REC709[i]) for i in order))),
-        _chunk(b"gAMA", struct.pack(">I", 45455)),
-        _chunk(b"sRGB", b"\x01"),  # relative colorimetric
-        _chunk(b"tEXt", b"Comment\0" + text.encode("latin-1", "replace")),
-    )
-    return data[:start] + b"".join(told) + data[start:]
-
-
-def _chunk(kind: bytes, content: bytes) -> bytes:
-    return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+    return encode_png(counts, light="srgb", comment=text)
 
 
 def read_environment(path: Path) -> "NDArray[np.float32]":

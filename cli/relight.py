@@ -388,7 +388,8 @@ def _write_pictures(
     """
     import numpy as np
 
-    from cli.pictures import COLOUR, png16, rgb, write_exr
+    from cli.pictures import png16
+    from formats.exr import COLOUR, rgb, write_exr
     from stages.relighting import compare, relight
 
     known = material.known

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 from cli.figures import pyplot
 from cli.show import Screen
 from cli.values import number, whole
-from store.errors import RequestError, WorkError
+from formats.whole_file import whole_file, write_whole
+from store.errors import RequestError
 
 if TYPE_CHECKING:
     from hw.pacing import Flicker, Timing
@@ -433,13 +434,8 @@ def _write(path: Path, text: str) -> None:
         if path.is_file() and path.read_bytes() == text.encode():
             return
         raise RequestError(f"{path} is there already and holds something else; remove it, or name another file")
-    temporary = path.with_name(f".{path.name}.new")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_text(text, encoding="utf-8")
-        os.replace(temporary, path)
-    except OSError as error:
-        raise WorkError(f"{path} cannot be written ({error.strerror})") from None
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, text.encode())
 
 
 def _thesis_count(n: int) -> int:
@@ -465,12 +461,9 @@ def _draw_counts(rows: Sequence[tuple[int, int, int, int]], path: Path) -> None:
     axis.set_ylim(0)
     axis.grid(alpha=0.3)
     axis.legend(frameon=False)
-    temporary = path.with_name(f".{path.stem}.new{path.suffix}")
+    path.parent.mkdir(parents=True, exist_ok=True)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(temporary, dpi=110)
-        os.replace(temporary, path)
-    except OSError as error:
-        raise WorkError(f"{path} cannot be written ({error.strerror})") from None
+        with whole_file(path) as beside:
+            figure.savefig(beside, dpi=110)
     finally:
         plt.close(figure)

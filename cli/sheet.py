@@ -3,12 +3,12 @@
 Constant picture, diffuse and specular component, normals as RGB, and the histogram of the normalising constant.
 """
 
-import os
 from pathlib import Path
 from typing import Any
 
 from cli.deliver import noted
 from cli.figures import pyplot
+from formats.whole_file import whole_file
 from store.errors import RequestError
 from store.results import current_path
 from store.root import Store
@@ -26,9 +26,8 @@ def contact_sheet(session: str, store: Store) -> Path:
     if path.is_file() and note.is_file() and note.read_text() == noted(path, shown):
         return path
     path.parent.mkdir(exist_ok=True)
-    temporary = path.with_name(f".{session}.part.png")
-    _draw(session, store, temporary)
-    os.replace(temporary, path)
+    with whole_file(path) as beside:
+        _draw(session, store, beside)
     note.write_text(noted(path, shown))
     return path
 

@@ -13,7 +13,6 @@ degrees.
 import argparse
 import csv
 import io
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +22,7 @@ from cli.figures import pyplot
 from cli.run import add_run_options, override_items, paths_of, run_session, session_of
 from cli.show import Screen
 from cli.values import whole
+from formats.whole_file import write_whole
 from store.errors import RequestError, WorkError
 from store.root import Store
 
@@ -110,7 +110,7 @@ def handle_skin(options: argparse.Namespace, screen: Screen) -> int:
         stem.parent.mkdir(exist_ok=True)
         _draw_maps(skin, picked, files["picture"])
         _draw_spectra(skin, picked, files["spectra"])
-        _put(files["table"], _as_csv(skin, picked).encode())
+        write_whole(files["table"], _as_csv(skin, picked).encode())
     except OSError as error:
         raise WorkError(f"{stem.parent} cannot be written ({error.strerror or error})") from None
     screen.table(
@@ -337,14 +337,7 @@ def _save(figure: Any, path: Path) -> None:
         figure.savefig(data, format="png", dpi=110)
     finally:
         plt.close(figure)
-    _put(path, data.getvalue())
-
-
-def _put(path: Path, data: bytes) -> None:
-    """Whole or not at all."""
-    temporary = path.with_name(f".{path.name}.part")
-    temporary.write_bytes(data)
-    os.replace(temporary, path)
+    write_whole(path, data.getvalue())
 
 
 def _as_csv(skin: Skin, picked: Sequence[Point]) -> str:

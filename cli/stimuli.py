@@ -2,7 +2,6 @@
 
 import argparse
 import copy
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,8 @@ from cli.figures import pyplot
 from cli.run import add_run_options, pipeline_path, run_session, session_of
 from cli.show import Screen
 from cli.values import number
-from store.errors import RequestError, WorkError
+from formats.whole_file import whole_file
+from store.errors import RequestError
 from store.root import Store
 
 if TYPE_CHECKING:
@@ -520,15 +520,11 @@ def _preview(
             f"{name}: one light at azimuth,elevation,strength; --set stimulus.lights='...' takes several"
         )
         path = folder / f"{name}-lights.png"
-        part = path.with_name(f".{path.name}.part")
         try:
-            figure.savefig(part, format="png", dpi=110)
-            os.replace(part, path)
-        except OSError as error:
-            raise WorkError(f"{path} cannot be written ({error.strerror or error})") from None
+            with whole_file(path) as beside:
+                figure.savefig(beside, format="png", dpi=110)
         finally:
             plt.close(figure)
-            part.unlink(missing_ok=True)
         screen.say(f"picture: {path}")
         written.append(str(path))
     screen.document({"pictures": written})

@@ -1,15 +1,13 @@
 """The folder of a stimulus set: pictures with their colour said, tables for whoever shows them, a page that runs.
 
-    <subject>_<kind>.png        8 bits, sRGB (chunk sRGB), or linear (chunk gAMA 1)
-    16bit/<subject>_<kind>.png  16 bits, linear (chunk gAMA 1)
-    stimuli.csv                 what is in each picture
-    conditions.csv              for PsychoPy (`data.importConditions`)
-    stimuli.js                  the same as jsPsych timeline variables, for experiment.html
-    experiment.html             shows them one by one and asks for a key
-    points.yaml                 where the eyes are in the sessions' pictures, to be changed and given with --points
-    recipe.json                 what the set was made from
-
-Source of the chunks: Portable Network Graphics, third edition (W3C 2025), 11.3.2.
+<subject>_<kind>.png        8 bits, sRGB (chunk sRGB), or linear (chunk gAMA 1)
+16bit/<subject>_<kind>.png  16 bits, linear (chunk gAMA 1)
+stimuli.csv                 what is in each picture
+conditions.csv              for PsychoPy (`data.importConditions`)
+stimuli.js                  the same as jsPsych timeline variables, for experiment.html
+experiment.html             shows them one by one and asks for a key
+points.yaml                 where the eyes are in the sessions' pictures, to be changed and given with --points
+recipe.json                 what the set was made from
 """
 
 import csv
@@ -19,12 +17,12 @@ import json
 import math
 import os
 import shutil
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from formats.png import encode_png
 from store.digest import SHORT, digest_value
 from store.errors import RequestError, WorkError
 
@@ -37,9 +35,6 @@ COLUMNS = (
     "clipped", "filled", "width_px", "height_px", "width_deg", "height_deg", "distance_cm", "pixels_per_cm",
     "encoding", "digest", "recipe",
 )  # fmt: skip
-SRGB_GAMMA = 1 / 2.2
-PRIMARIES = (0.3127, 0.3290, 0.64, 0.33, 0.30, 0.60, 0.15, 0.06)
-"""x and y of white, red, green and blue of sRGB; linear pictures have the same."""
 JSPSYCH = ("jspsych@8.3.0", "@jspsych/plugin-image-keyboard-response@2.2.0")
 """What experiment.html asks for."""
 
@@ -63,22 +58,7 @@ def png(values: "NDArray[np.integer[Any]]", *, srgb: bool) -> bytes:
         values: (y, x) grey or (y, x, rgb), uint8 or uint16.
         srgb: encoded as sRGB; otherwise linear light.
     """
-    import cv2
-
-    turned = values if values.ndim == 2 else values[..., ::-1]
-    good, made = cv2.imencode(".png", turned)
-    if not good:
-        raise WorkError("a picture cannot be encoded as PNG")
-    data = made.tobytes()
-    # the signature has 8 bytes and the first chunk, IHDR, 25; what says the colour comes before the pixels
-    gamma = _chunk(b"gAMA", round(100000 * (SRGB_GAMMA if srgb else 1.0)).to_bytes(4, "big"))
-    primaries = _chunk(b"cHRM", b"".join(round(100000 * v).to_bytes(4, "big") for v in PRIMARIES))
-    said = (_chunk(b"sRGB", b"\x00") if srgb else b"") + gamma + primaries
-    return data[:33] + said + data[33:]
-
-
-def _chunk(name: bytes, data: bytes) -> bytes:
-    return len(data).to_bytes(4, "big") + name + data + zlib.crc32(name + data).to_bytes(4, "big")
+    return encode_png(values, light="srgb" if srgb else "linear")
 
 
 def sha256(data: bytes) -> str:

@@ -35,6 +35,7 @@ older code or other libraries refuses instead of storing its numbers under a key
 """
 
 import ast
+import contextlib
 import functools
 import importlib.metadata
 import importlib.util
@@ -73,7 +74,18 @@ def code_digest(source: str) -> str:
 
     The text form is our own, because Python's `ast.dump` differs between versions.
     """
-    return digest_bytes(_text(_without_docstrings(ast.parse(source))).encode())
+    return digest_bytes(_text(_without_docstrings(_parsed(source))).encode())
+
+
+_PARSINGS = 20
+
+
+def _parsed(source: str | bytes) -> ast.Module:
+    """The syntax tree. Until Python 3.11.8 and 3.12.2 one thread's parsing may fail because of another's."""
+    for _ in range(_PARSINGS):
+        with contextlib.suppress(SystemError):
+            return ast.parse(source)
+    return ast.parse(source)
 
 
 def _without_docstrings(tree: ast.AST) -> ast.AST:
@@ -162,7 +174,7 @@ def _imports_of(module: str) -> tuple[str, ...]:
 
 @functools.cache
 def _imported(text: bytes, module: str) -> tuple[str, ...]:
-    return tuple(_imports(ast.parse(text), module))
+    return tuple(_imports(_parsed(text), module))
 
 
 def _imports(tree: ast.AST, module: str) -> Iterable[str]:

@@ -224,7 +224,7 @@ def _imports(module: str) -> tuple[str, ...]:
     import ast
 
     def named() -> Iterator[str]:
-        for node in ast.walk(ast.parse(_text(module))):
+        for node in ast.walk(_parsed(_text(module))):
             if isinstance(node, ast.Import):
                 yield from (alias.name for alias in node.names)
             elif isinstance(node, ast.ImportFrom):
@@ -235,6 +235,21 @@ def _imports(module: str) -> tuple[str, ...]:
 
     found = {name for name in named() if name.split(".")[0] in PACKAGES and name in sys.modules}
     return tuple(sorted(found - set(PACKAGES)))
+
+
+_PARSINGS = 20
+
+
+def _parsed(text: bytes) -> Any:
+    """The syntax tree. Until Python 3.11.8 and 3.12.2 one thread's parsing may fail because of another's."""
+    import ast
+
+    for _ in range(_PARSINGS):
+        try:
+            return ast.parse(text)
+        except SystemError:
+            continue
+    return ast.parse(text)
 
 
 @cache

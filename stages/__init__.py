@@ -6,6 +6,7 @@ that a stage calls; they count in its key.
 
     joint_flow.py            the motion of a subject under changing light, all pictures of a window at once
     band_alignment.py        the bands of a capture, brought to one of them
+    blurs.py                 blurs whose every bit is the same on every processor
     block_grid.py            fields on a block grid that bend little, its linear algebra
     picture_flow.py          the same by flows between two pictures at a time, for reference
     flow_warp.py             what flows do to pictures: warping, and the inverse of a flow

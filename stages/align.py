@@ -40,13 +40,12 @@ Sources: Wilson et al. (2010), ACM TOG 29(2); Dutta (2010) chapters 4 and 5; and
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
 from dag.stage import Arrangement, Grid, Group, Input, Items, Output, Params, Stage, StageError
-from stages import band_alignment, joint_flow, picture_flow
+from stages import band_alignment, blurs, joint_flow, picture_flow
 from stages.band_fusion import noise_model
 from stages.flow_warp import invert, warp
 from stages.picture_sets import Window, chosen_sets, pairs, picture_times, windows
@@ -414,7 +413,7 @@ def _same_scene(picture: Image, constant: Image) -> bool:
     subject = joint_flow.subject_of(constant) & np.isfinite(picture)
     if not subject.any():
         return False
-    a, b = (cv2.GaussianBlur(np.nan_to_num(p), (0, 0), constant.shape[1] / 100) for p in (picture, constant))
+    a, b = (blurs.gaussian(np.nan_to_num(p), constant.shape[1] / 100) for p in (picture, constant))
     return bool(np.abs(a - b)[subject].mean() < 0.5 * b[subject].mean())
 
 
@@ -462,7 +461,7 @@ def _foreign(
 
 
 def _texture(picture: Image, lit: NDArray[np.bool_]) -> Image:
-    smooth = cv2.GaussianBlur(np.where(np.isfinite(picture), picture, np.float32(0)), (0, 0), 0.8)
+    smooth = blurs.gaussian(np.where(np.isfinite(picture), picture, np.float32(0)), 0.8)
     return joint_flow.fine_texture(smooth, lit)
 
 
@@ -499,7 +498,7 @@ def _contradicted(
 
 def _local(picture: Image, wide: float = 1.0) -> Image:
     """The mean over a few pixels: 3 px, times `wide`, at a width of 406."""
-    return np.asarray(cv2.GaussianBlur(picture, (0, 0), wide * 3.0 * max(1.0, picture.shape[1] / 406)))
+    return np.asarray(blurs.gaussian(picture, wide * 3.0 * max(1.0, picture.shape[1] / 406)))
 
 
 def _seen(flow: Image) -> Image:

@@ -39,6 +39,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from stages import blurs
 from stages.joint_flow import Features, depth_of, fine_texture, halved, match, subject_of
 
 Image = NDArray[np.float32]
@@ -176,7 +177,7 @@ class _Side(NamedTuple):
 
     def smaller(self) -> "_Side":
         """The next level."""
-        images = tuple((kind, cv2.pyrDown(image), cv2.pyrDown(noise)) for kind, image, noise in self.images)
+        images = tuple((kind, blurs.half_size(image), blurs.half_size(noise)) for kind, image, noise in self.images)
         return _Side(images, halved(self.known), halved(self.subject))
 
 
@@ -190,14 +191,14 @@ def _side(light: Light, kinds: Sequence[Kind]) -> _Side:
     images: list[tuple[Kind, Image, Image]] = []
     for kind in kinds:
         if kind == "relief" and light.share_noise is not None:
-            images += [(kind, _filled(share), light.share_noise) for share in light.shares]
+            images += [(kind, blurs.filled(share), light.share_noise) for share in light.shares]
             continue
         picture, noise = light.diffuse, light.diffuse_noise
         if kind == "specular" and light.specular is not None and light.specular_noise is not None:
             picture, noise = light.specular, light.specular_noise
         # each band by its own level: lights differ in power from band to band
         level = np.float32(_bright(picture))
-        images.append((kind, _filled(picture) / level, noise / level**2))
+        images.append((kind, blurs.filled(picture) / level, noise / level**2))
     known = np.isfinite(light.diffuse)
     if light.specular is not None:
         known &= np.isfinite(light.specular)
@@ -228,8 +229,8 @@ def _texture(
     kind: Kind, image: Image, noise: Image, subject: NDArray[np.bool_], sigma: float, level: int
 ) -> tuple[Image, Image]:
     """A feature and the variance of its noise, both (y, x)."""
-    image = cv2.GaussianBlur(image, (0, 0), _PREFILTER_PX)
-    mean = np.maximum(cv2.GaussianBlur(image, (0, 0), sigma), _DARK)
+    image = blurs.gaussian(image, _PREFILTER_PX)
+    mean = np.maximum(blurs.gaussian(image, sigma), _DARK)
     if kind != "gradient":
         return fine_texture(image, subject, sigma), _gain(sigma, level) * noise / mean**2
     slopes = (cv2.Sobel(image, cv2.CV_32F, *way, ksize=3, scale=1 / 8) for way in ((1, 0), (0, 1)))
@@ -237,9 +238,7 @@ def _texture(
     # with the noise's own power in it, noise alone is no edge anywhere
     strength = np.sqrt(sum(slope**2 for slope in slopes) / mean**2 + 2 * noise)
     strength /= np.float32(_bright(np.where(subject, strength, np.float32(np.nan))))
-    return fine_texture(strength, subject, sigma), noise / np.maximum(
-        cv2.GaussianBlur(strength, (0, 0), sigma), _DARK
-    ) ** 2
+    return fine_texture(strength, subject, sigma), noise / np.maximum(blurs.gaussian(strength, sigma), _DARK) ** 2
 
 
 @cache
@@ -247,12 +246,12 @@ def _gain(sigma: float, level: int) -> np.float32:
     """Variance that a feature (sigma 0: a slope) has of white noise of variance 1 in the full-size picture."""
     image = np.random.default_rng(0).standard_normal((64 * 2**level,) * 2).astype(np.float32)
     for _ in range(level):
-        image = cv2.pyrDown(image)
-    image = cv2.GaussianBlur(image, (0, 0), _PREFILTER_PX)
+        image = blurs.half_size(image)
+    image = blurs.gaussian(image, _PREFILTER_PX)
     if sigma == 0:
         return np.float32(cv2.Sobel(image, cv2.CV_32F, 1, 0, ksize=3, scale=1 / 8).var())
     for _ in range(2):
-        image = image - cv2.GaussianBlur(image, (0, 0), sigma)
+        image = image - blurs.gaussian(image, sigma)
     return np.float32(image.var())
 
 
@@ -275,16 +274,6 @@ def _alike(at: Features, flow: Image) -> float:
     return float(np.sum(used**2 * at.here * moved, dtype=float)) / size if size > 0 else 0.0
 
 
-def _filled(picture: Image) -> Image:
-    """Unknown pixels take the mean of what is known around them, 0 where nothing is."""
-    known = np.isfinite(picture)
-    if known.all():
-        return np.asarray(picture, np.float32)
-    part = cv2.blur(known.astype(np.float32), (7, 7))
-    mean = cv2.blur(np.where(known, picture, np.float32(0)), (7, 7)) / np.maximum(part, np.float32(1e-3))
-    return np.where(known, picture, mean).astype(np.float32)
-
-
 def _bright(picture: Image) -> float:
     lit = picture[np.isfinite(picture)]
     bright = float(np.percentile(lit, 99)) if lit.size else 0.0
@@ -294,5 +283,5 @@ def _bright(picture: Image) -> float:
 def _spread(image: Image) -> Image:
     """The mean over a window, of what is known."""
     known = np.isfinite(image)
-    part = np.maximum(cv2.GaussianBlur(known.astype(np.float32), (0, 0), _WINDOW_PX), np.float32(1e-3))
-    return np.asarray(cv2.GaussianBlur(np.where(known, image, np.float32(0)), (0, 0), _WINDOW_PX) / part)
+    part = np.maximum(blurs.gaussian(known.astype(np.float32), _WINDOW_PX), np.float32(1e-3))
+    return np.asarray(blurs.gaussian(np.where(known, image, np.float32(0)), _WINDOW_PX) / part)

@@ -39,6 +39,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from stages import blurs
 from stages.block_grid import FLAGS, MASS, edges_of, minimise
 
 Image = NDArray[np.float32]
@@ -55,6 +56,8 @@ _EDGE = 5.0
 """Bending energy from which a place counts as an edge of the motion."""
 _ADAPTED = 0.1
 """Weight of bending times its median, where the weight is adapted."""
+_START_PX = 1 / 16
+"""Steps of a start: it comes from OpenCV, whose last bits differ between processors."""
 _ROOT_FLOOR = np.float32(0.02)
 _RIM_PART = np.float32(2.1)
 _SWAY = 5.2
@@ -291,12 +294,12 @@ def _solve(
     height, width = constant.shape
     subject = subject_of(constant)
     known = [np.isfinite(p) for p in pictures]
-    images = [_filled(np.asarray(p, np.float32) / bright) for p in (constant, *pictures)]
+    images = [blurs.filled(np.asarray(p, np.float32) / bright) for p in (constant, *pictures)]
     depth = levels or depth_of((height, width))
     pyramid = [(images, known, subject)]
     for _ in range(depth - 1):
         images, known, subject = pyramid[-1]
-        pyramid.append(([cv2.pyrDown(i) for i in images], [halved(k) for k in known], halved(subject)))
+        pyramid.append(([blurs.half_size(i) for i in images], [halved(k) for k in known], halved(subject)))
     return _descended(
         lambda level: _prepared(*pyramid[level], finest=level == 0),
         pyramid[0][2],
@@ -342,6 +345,7 @@ def _descended(
             blurred = [cv2.GaussianBlur(f, (0, 0), step * 2**level / 3) for f in start]
             smaller = [cv2.resize(f, (columns, rows), interpolation=cv2.INTER_AREA) for f in blurred]
             theta = _at_nodes(np.stack(smaller) / 2**level, nodes, step)
+            theta = np.round(theta / _START_PX) * _START_PX
         else:
             theta = np.zeros((*nodes, count))
         spacing = step
@@ -357,9 +361,10 @@ def _descended(
     swayed = np.zeros((*theta.shape[:2], len(terms.basis)))
     for factor in (10.0, 0.1):
         away = before + minimise(hessian, gradient, before, factor * weights, edges, MASS) - theta
-        moved = np.einsum("mk,yxkc->yxmc", terms.basis, away.reshape(*theta.shape[:2], -1, 2))
+        moved = _by_picture(away, terms.basis)
         swayed = np.maximum(swayed, np.hypot(moved[..., 0], moved[..., 1]))
-    flow = _flows(_at_pixels(theta, (height, width), spacing), terms.basis)
+    flows = _by_picture(theta, terms.basis).reshape(*theta.shape[:2], -1)
+    flow = _at_pixels(flows, (height, width), spacing).reshape(-1, 2, height, width)
     doubt = _at_pixels(swayed, (height, width), spacing)
     return Flows(flow, np.float32(_SWAY) * doubt + extended(flow, subject))
 
@@ -410,30 +415,20 @@ def subject_of(constant: Image) -> NDArray[np.bool_]:
     return np.isfinite(constant) & (constant > DARK * _bright_end(constant))
 
 
-def _filled(picture: Image) -> Image:
-    """Unknown pixels take the mean of what is known around them, 0 where nothing is."""
-    known = np.isfinite(picture)
-    if known.all():
-        return picture
-    part = cv2.blur(known.astype(np.float32), (7, 7))
-    mean = cv2.blur(np.where(known, picture, np.float32(0)), (7, 7)) / np.maximum(part, np.float32(1e-3))
-    return np.where(known, picture, mean).astype(np.float32)
-
-
 def halved(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """The next level of a mask: where all that a pixel there is made of is in it."""
-    return np.asarray(cv2.pyrDown(mask.astype(np.float32)) > 0.95)
+    return np.asarray(blurs.half_size(mask.astype(np.float32)) > 0.95)
 
 
 def _prepared(
     images: Sequence[Image], known: Sequence[NDArray[np.bool_]], subject: NDArray[np.bool_], *, finest: bool
 ) -> _Level:
     if finest:
-        images = [cv2.GaussianBlur(i, (0, 0), _PREFILTER_PX) for i in images]
+        images = [blurs.gaussian(i, _PREFILTER_PX) for i in images]
     fine = [fine_texture(i, subject if k == 0 else i > 0.01) for k, i in enumerate(images)]
     both = np.empty((len(images) - 1, *subject.shape, 2), np.float32)
     for image, texture, out in zip(images[1:], fine[1:], both, strict=True):
-        cv2.merge([_less_smooth(image), texture], out)
+        out[..., 0], out[..., 1] = _less_smooth(image), texture
     # shot noise: variance goes with the counts
     root = np.sqrt(np.maximum(images[0], _ROOT_FLOOR))
     return _Level(root[None], _less_smooth(images[0]), fine[0][None], both, np.stack(known), _inner(subject))
@@ -446,8 +441,10 @@ def _inner(subject: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 def _less_smooth(image: Image) -> Image:
     """h: what is smooth is kept in part only."""
-    mean = cv2.GaussianBlur(image, (0, 0), _SMOOTH_PX)
-    return np.asarray(cv2.addWeighted(image, 1.0, mean, _KEPT_SMOOTH - 1, 0.0, dst=mean))
+    mean = blurs.gaussian(image, _SMOOTH_PX)
+    mean *= np.float32(_KEPT_SMOOTH - 1)
+    mean += image
+    return mean
 
 
 def fine_texture(image: Image, lit: NDArray[np.bool_], sigma: float = _SIGMA_PX) -> Image:
@@ -456,15 +453,15 @@ def fine_texture(image: Image, lit: NDArray[np.bool_], sigma: float = _SIGMA_PX)
     `sigma`, pixels, is that of the local mean. In place where it can be.
     """
     weight = lit.astype(np.float32)
-    part = cv2.GaussianBlur(weight, (0, 0), sigma)
+    part = blurs.gaussian(weight, sigma)
     np.maximum(part, np.float32(1e-3), out=part)
-    mean = cv2.GaussianBlur(cv2.multiply(image, weight), (0, 0), sigma)
+    mean = blurs.gaussian(image * weight, sigma)
     mean /= part
-    out = cv2.subtract(image, mean)
+    out = image - mean
     np.maximum(mean, _ROOT_FLOOR, out=mean)
     out /= mean
     out *= weight
-    cv2.GaussianBlur(out, (0, 0), sigma, dst=mean)
+    mean = blurs.gaussian(out, sigma)
     mean /= part
     out -= mean
     out *= weight
@@ -473,12 +470,9 @@ def fine_texture(image: Image, lit: NDArray[np.bool_], sigma: float = _SIGMA_PX)
 
 def _at_pixels(theta: NDArray[np.float64], shape: tuple[int, int], spacing: int) -> Image:
     """Fields (2 field, y, x) from nodes (row, column, 2 field), bilinear."""
-    x, y = np.meshgrid(
-        (np.arange(shape[1]) / spacing).astype(np.float32), (np.arange(shape[0]) / spacing).astype(np.float32)
-    )
-    nodes = np.ascontiguousarray(np.moveaxis(theta, 2, 0), dtype=np.float32)
-    border = cv2.BORDER_REPLICATE
-    return np.stack([cv2.remap(f, x, y, cv2.INTER_LINEAR, borderMode=border) for f in nodes])
+    out = np.empty((theta.shape[2], *shape), np.float32)
+    _interpolate(theta, spacing, out)
+    return out
 
 
 def _at_nodes(fields: Image, nodes: tuple[int, int], step: int) -> NDArray[np.float64]:
@@ -487,9 +481,10 @@ def _at_nodes(fields: Image, nodes: tuple[int, int], step: int) -> NDArray[np.fl
     return np.ascontiguousarray(np.moveaxis(fields[:, rows][:, :, columns], 0, 2), dtype=np.float64)
 
 
-def _flows(fields: Image, basis: Image) -> Image:
-    pairs = fields.reshape(-1, 2, *fields.shape[1:])
-    return np.asarray(np.einsum("mk,kcyx->mcyx", basis, pairs), np.float32)
+def _by_picture(theta: NDArray[np.float64], basis: Image) -> NDArray[np.float64]:
+    """Flows (row, column, picture, xy) from fields (row, column, 2 field)."""
+    fields = theta.reshape(*theta.shape[:2], -1, 2)
+    return np.asarray(sum(basis[:, k, None] * fields[:, :, k, None] for k in range(fields.shape[2])))
 
 
 def _linearised(
@@ -534,6 +529,24 @@ def _linearised(
         False, hessian, gradient, residuals,
     )  # fmt: skip
     return hessian.astype(np.float64), gradient.astype(np.float64)
+
+
+@njit(**FLAGS)
+def _interpolate(theta: NDArray[np.float64], spacing: int, out: Image) -> None:
+    rows, columns, size = theta.shape
+    height, width = out.shape[1:]
+    part = np.arange(width) % spacing / spacing
+    for k in range(size):
+        for y in range(height):
+            above = min(y // spacing, rows - 1)
+            below = min(above + 1, rows - 1)
+            down = y / spacing - above
+            for i in range(columns):
+                right = min(i + 1, columns - 1)
+                a = theta[above, i, k] + down * (theta[below, i, k] - theta[above, i, k])
+                b = theta[above, right, k] + down * (theta[below, right, k] - theta[above, right, k])
+                for x in range(i * spacing, width if i == right else min((i + 1) * spacing, width)):
+                    out[k, y, x] = a + part[x] * (b - a)
 
 
 @njit(**FLAGS)

@@ -48,6 +48,7 @@ def gc(store: Store, *, grace_s: float, dry_run: bool, before: Callable[[Path], 
     In use are: all sessions, the calibration items bound to them, and per node the result that `current` names
     and, while that is a partial one, the newest complete one. Anything younger than `grace_s` seconds stays,
     because a run in progress may be about to use it; so does, whatever the grace, what is used while gc works.
+    Damaged chunks leave the quarantine at that age.
 
     Args:
         store: where.
@@ -82,6 +83,7 @@ class _Collection:
         self._free_pictures(sessions)
         self._free_items()
         self._free_chunks()
+        self._free_quarantined()
         if self._dry_run:
             for path in self._store.scratch.leavings():
                 self._pretend(path)
@@ -197,6 +199,13 @@ class _Collection:
                     self._freed.records += self._free(path, lambda aside: not self._old(aside))
         for path, links in lost.values():
             self._freed.chunks += self._free(path, self._taken_up(links))
+
+    def _free_quarantined(self) -> None:
+        """Damaged chunks, which are kept for as long as somebody may want to look at them."""
+        for entry in list(files_below(self._store.quarantine)):
+            path = Path(entry.path)
+            if self._old(path):
+                self._freed.chunks += self._free(path, lambda aside: not self._old(aside))
 
     def _taken_up(self, links: int) -> Callable[[Path], bool]:
         """Whether a chunk has been renewed, or has more names than it had."""

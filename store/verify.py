@@ -379,6 +379,7 @@ def _quarantine(store: Store, bad: set[str], views: Iterable[_View]) -> None:
             continue
         with contextlib.suppress(FileNotFoundError):
             os.replace(path, store.quarantine / blob)
+            os.utime(store.quarantine / blob)  # how long it has been there
     for kind in KINDS:
         for path in list(store.records.files(kind)):
             with contextlib.suppress(FileNotFoundError):

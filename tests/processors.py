@@ -9,7 +9,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,9 @@ Arrays = dict[str, NDArray[Any]]
 DEGREES, RELATIVE = 1e-4, 1e-5
 """By how much normals, and all else, may differ before they are rounded for storage."""
 IN_STEPS = {"register/signal": STEP}
-"""Floats that are multiples of something."""
+"""Floats that are multiples of something, by NODE/ARRAY."""
+SESSIONS: Mapping[str, Sequence[str]] = {"head": (), "performer": ("--sequence", "wilson", "--tracking", "2")}
+"""What the virtual rig captures, and how: a still head, and the shortest performance with two full windows."""
 
 
 def _settings() -> Mapping[str, Mapping[str, str]]:
@@ -53,17 +55,24 @@ def environment(setting: str, compiled: Path) -> dict[str, str]:
     return found
 
 
-def results(work: Path, size: str) -> dict[str, Arrays]:
-    """By setting, all arrays of all nodes of pipeline.yaml, from the same pictures of the virtual rig's head."""
+def performs(session: str) -> bool:
+    """Whether the subject of a session moves."""
+    return bool(SESSIONS[session])
+
+
+def results(work: Path, size: str) -> dict[str, dict[str, Arrays]]:
+    """By session and setting, all arrays of nodes of pipeline.yaml, from the same pictures of the virtual rig."""
     from cli.main import main as lightstage
 
-    assert lightstage(["--store", str(work / "store"), "demo", "--size", size, "--session", "head"]) == 0
+    for session, words in SESSIONS.items():
+        demo = ["demo", "--size", size, "--session", session, *words]
+        assert lightstage(["--store", str(work / "store"), *demo]) == 0
     running = {}
     for setting in SETTINGS:
         store, out = work / setting / "store", work / f"{setting}.npz"
         shutil.copytree(work / "store", store, symlinks=True)
         running[out] = subprocess.Popen(
-            [sys.executable, "-m", "tests.whole_pipeline", str(store), "head", str(out)],
+            [sys.executable, "-m", "tests.whole_pipeline", str(store), str(out), *SESSIONS],
             cwd=REPOSITORY,
             env=environment(setting, work / "compiled"),
             stdout=subprocess.DEVNULL,
@@ -73,7 +82,16 @@ def results(work: Path, size: str) -> dict[str, Arrays]:
     for process in running.values():
         _, said = process.communicate(timeout=1200)
         assert process.returncode == 0, said
-    return {out.stem: dict(np.load(out)) for out in running}
+    found = {out.stem: dict(np.load(out)) for out in running}
+    return {
+        session: {
+            setting: {
+                name.removeprefix(f"{session}/"): a for name, a in arrays.items() if name.startswith(f"{session}/")
+            }
+            for setting, arrays in found.items()
+        }
+        for session in SESSIONS
+    }
 
 
 def apart(name: str, one: NDArray[Any], other: NDArray[Any]) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:

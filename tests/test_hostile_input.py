@@ -525,9 +525,9 @@ def test_a_spoilt_file_of_points_is_read_or_refused(tmp_path: Path) -> None:
 
 
 def test_a_figure_that_no_block_tells_is_not_said_of_the_result(store: Store) -> None:
-    from dag.run import BlockTask, _write
+    from dag.task import BlockTask, _write
 
-    task = SimpleNamespace(arrays={"a": ("float32", (1, 2), (1, 2))}, node="n", block="b")
+    task = SimpleNamespace(arrays={"a": ("float32", (1, 2), (1, 2), None)}, node="n", block="b")
     outputs = {"a": np.zeros((1, 2), np.float32), "stats": {"error": float("nan"), "part": 0.5}}
     _, stats, _ = _write(cast(BlockTask, task), outputs, store)
     assert stats == {"part": 0.5}

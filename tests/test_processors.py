@@ -1,4 +1,5 @@
-"""Results are equal to rounding on every processor: the demo's pipeline, with instructions left out.
+"""Results are equal to rounding on every processor: the demo's pipeline, and that of a small performance, with
+instructions left out.
 
 Before they are rounded for storage normals are within 1e-4 degrees and all else is within 1e-5 of its value, or of
 the array's median where the value is smaller than that: near zero, what remains of a difference is its rounding.
@@ -16,7 +17,7 @@ import pytest
 from numpy.typing import NDArray
 
 from stages.resampling import STEP
-from tests.processors import IN_STEPS, SETTINGS, apart, environment, results
+from tests.processors import IN_STEPS, SESSIONS, SETTINGS, apart, environment, results
 from tests.whole_pipeline import nodes
 
 pytestmark = pytest.mark.slow
@@ -26,7 +27,7 @@ _STEPPED = 1e-3
 
 
 @pytest.fixture(scope="module")
-def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Arrays]:
+def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Arrays]]:
     return results(tmp_path_factory.mktemp("processors"), "64x48")
 
 
@@ -51,10 +52,11 @@ def test_a_setting_is_what_it_says(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("setting", [name for name in SETTINGS if name != "as it is"])
-def test_every_node_is_equal_to_rounding(setting: str, found: dict[str, Arrays]) -> None:
-    here, there = found["as it is"], found[setting]
+@pytest.mark.parametrize("session", SESSIONS)
+def test_every_node_is_equal_to_rounding(session: str, setting: str, found: dict[str, dict[str, Arrays]]) -> None:
+    here, there = found[session]["as it is"], found[session][setting]
     assert list(here) == list(there)
-    assert {name.partition("/")[0] for name in here} == set(nodes())
+    assert {name.partition("/")[0] for name in here} == set(nodes(session))
     stepped = False
     wrong = []
     for name, one in here.items():

@@ -126,11 +126,14 @@ def test_a_wrong_request_is_one_sentence(
     assert len(done.err.strip().splitlines()) == 1
 
 
-def test_a_full_disk_is_named_and_leaves_the_old_film(lightstage: Lightstage, moving: str, tmp_path: Path) -> None:
+def test_a_full_disk_is_named_and_leaves_the_old_film(
+    lightstage: Lightstage, moving: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("secrets.token_hex", lambda digits: "0")
     out = tmp_path / "out"
     out.mkdir()
     (out / "head_upsample.mp4").write_bytes(b"old")
-    (out / ".head_upsample.part.mp4").symlink_to("/dev/full")
+    (out / ".head_upsample-0.mp4").symlink_to("/dev/full")
     done = lightstage("export", "upsample", "--session", moving, "--to", out, "--format", "mp4")
     assert done.code == 1
     assert "is full" in done.err

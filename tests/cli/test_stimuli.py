@@ -108,7 +108,7 @@ def test_pictures_say_their_colour(made: Any) -> None:
     for row in read(folder):
         with Image.open(folder / row["file"]) as opened:
             info, coarse = opened.info, np.asarray(opened)
-        assert info["srgb"] == 0
+        assert info["srgb"] == 1
         assert info["gamma"] == pytest.approx(1 / 2.2, abs=1e-5)
         fine = (folder / row["file_16bit"]).read_bytes()
         said = dict(chunks(fine))

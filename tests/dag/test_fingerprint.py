@@ -1,7 +1,9 @@
 """The keys. The literal digests pin the scheme: when one changes, every cache out there is worthless."""
 
+import ast
 import json
 import textwrap
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +12,7 @@ import pytest
 from dag import fingerprint
 from dag.fingerprint import block_key, code_digest, plain_context, recipe
 from dag.stage import CalibrationPicture
+from hw import compiled
 from store.digest import digest_array, digest_value
 
 PINNED = Path(__file__).with_name("pinned_digests.json")
@@ -109,3 +112,20 @@ def test_a_type_alias_or_decorator_is_code() -> None:
     plain = textwrap.dedent("def f(a):\n    return a\n")
     assert code_digest("@njit\n" + plain) != code_digest(plain)
     assert code_digest("@njit(fastmath=True)\n" + plain) != code_digest("@njit\n" + plain)
+
+
+@pytest.mark.parametrize("parsed", [fingerprint._parsed, compiled._parsed])
+def test_parsing_that_fails_because_of_another_thread_is_done_again(
+    monkeypatch: pytest.MonkeyPatch, parsed: Callable[[bytes], ast.AST]
+) -> None:
+    """A fault of Python 3.11.7 and 3.12.1: the depth of the recursion is counted for all threads together."""
+    real, failures = ast.parse, iter([SystemError("AST constructor recursion depth mismatch")] * 3)
+
+    def parse(text: bytes) -> ast.AST:
+        failure = next(failures, None)
+        if failure is not None:
+            raise failure
+        return real(text)
+
+    monkeypatch.setattr(ast, "parse", parse)
+    assert ast.dump(parsed(b"a = 1")) == ast.dump(real(b"a = 1"))

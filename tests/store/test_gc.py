@@ -208,3 +208,19 @@ def test_a_session_that_lost_its_description_is_said_before_anything_goes(two: S
     with pytest.raises(WorkError, match="import the capture"):
         freed_by(two)
     assert results(two) == before
+
+
+def test_damaged_chunks_leave_the_quarantine_when_they_are_old(two: Store) -> None:
+    blob = next(two.chunks.folder.glob("*/*"))
+    blob.chmod(0o644)
+    blob.write_bytes(blob.read_bytes()[:-1])
+    verify(two)
+    (kept,) = two.quarantine.iterdir()
+    assert (
+        gc(two, grace_s=3600, dry_run=False).size == 0
+    )  # it has been there for a moment, however old its bytes are
+    assert kept.exists()
+    before = size_of(two)
+    done = freed_by(two)
+    assert not kept.exists()
+    assert done.size == before - size_of(two) > 0
