@@ -112,7 +112,7 @@ def write_group(
     with warnings.catch_warnings():
         # xarray warns without consolidated metadata, zarr with it: version 3 of the format leaves it open
         warnings.simplefilter("ignore")
-        zarr.consolidate_metadata(folder)
+        zarr.consolidate_metadata(UnsharedStore(folder))
 
 
 def open_dataset(folder: Path) -> Any:

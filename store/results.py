@@ -53,7 +53,7 @@ def publish(
         store.scratch.remove(path)
     if not (path.is_dir() and renewed(note_path(path))):
         temporary = store.scratch.path()
-        with disk_faults_named(path):
+        with disk_faults_named(path), store.scratch.present():
             write_group(
                 temporary,
                 arrays=arrays,

@@ -350,7 +350,7 @@ def write_raw(session: Session, store: Store) -> None:
     chunks = raw_chunks(session)
     hidden = ("illumination", "time_s", "polarisation", "bands_nm")
     temporary = store.scratch.path()
-    with disk_faults_named(target):
+    with disk_faults_named(target), store.scratch.present():
         write_group(
             temporary,
             arrays=arrays,

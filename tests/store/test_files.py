@@ -17,6 +17,7 @@ import xarray
 from store import files
 from store.errors import WorkError
 from store.files import disk_faults_named, link_or_copy, move_new, put_if_absent, replace
+from store.grid import Coordinate, write_group
 from store.importer import import_capture
 from store.root import Store
 from store.verify import verify
@@ -270,6 +271,37 @@ def test_a_forked_child_has_a_folder_of_its_own_and_leaves_the_parents_lock(stor
 
 
 # a store that has gone
+
+
+def test_a_group_that_is_being_written_makes_no_folder_above_it_anew(
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Moved away before the first of its files, and before each of the others."""
+    real = os.mkdir
+    for nth in range(1, 5):
+        group, count = store.scratch.path(), 0
+
+        def vanishing(path: object, *given: object, nth: int = nth, **named: object) -> None:
+            nonlocal count
+            count += 1
+            if count == nth:
+                store.root.rename(tmp_path / "away")
+            real(path, *given, **named)  # type: ignore[arg-type]
+
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "mkdir", vanishing)
+            with pytest.raises(FileNotFoundError):
+                write_group(
+                    group,
+                    arrays={},
+                    coordinates={"frame": Coordinate(("frame",), [1, 2])},
+                    attrs={},
+                    chunks={},
+                    source=store.chunks,
+                )
+        assert count >= nth
+        assert not store.root.exists()
+        (tmp_path / "away").rename(store.root)
 
 
 def test_a_vanished_store_is_not_made_anew(store: Store, tmp_path: Path) -> None:
