@@ -269,7 +269,7 @@ def test_the_png_is_what_the_standard_says() -> None:
         length, kind = struct.unpack(">I4s", data[at : at + 8])
         kinds.append(kind)
         at += 12 + length
-    assert kinds[:5] == [b"IHDR", b"cHRM", b"gAMA", b"sRGB", b"tEXt"]
+    assert kinds[:5] == [b"IHDR", b"sRGB", b"gAMA", b"cHRM", b"tEXt"]
     assert kinds[-1] == b"IEND"
     with Image.open(io.BytesIO(data)) as opened:
         opened.load()  # checks every chunk's sum
