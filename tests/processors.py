@@ -44,12 +44,12 @@ def _settings() -> Mapping[str, Mapping[str, str]]:
 
 
 SETTINGS = _settings()
-_OURS = ("NPY_DISABLE_CPU_FEATURES", "OPENCV_CPU_DISABLE", "NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES")
+CHOSEN_BY = ("NPY_DISABLE_CPU_FEATURES", "OPENCV_CPU_DISABLE", "NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES")
 
 
 def environment(setting: str, compiled: Path) -> dict[str, str]:
     """Of a process under a setting; `compiled` is a folder for code that numba makes for another processor."""
-    found = {name: value for name, value in os.environ.items() if name not in _OURS} | dict(SETTINGS[setting])
+    found = {name: value for name, value in os.environ.items() if name not in CHOSEN_BY} | dict(SETTINGS[setting])
     if "NUMBA_CPU_NAME" in found:
         found["NUMBA_CACHE_DIR"] = str(compiled)
     return found
