@@ -22,7 +22,7 @@ import scipy.io
 import xarray
 from numpy.typing import NDArray
 
-from store.document import load
+from lightstage.store.document import load
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
@@ -67,7 +67,15 @@ class Bench:
 
     def call(self, *words: str | Path) -> dict[str, Any]:
         """Run a command with --json."""
-        command = [sys.executable, "-m", "cli.main", "--store", str(self.store), *map(str, words), "--json"]
+        command = [
+            sys.executable,
+            "-m",
+            "lightstage.cli.main",
+            "--store",
+            str(self.store),
+            *map(str, words),
+            "--json",
+        ]
         done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
         if done.returncode:
             raise SystemExit(f"{' '.join(command)}\n{done.stderr}")
@@ -436,7 +444,7 @@ of the system, and the virtual rig's own pictures, in which a count may round to
 
 Where a subject moves, a last bit is carried far: flows are found by descent, and pictures that differ by 1e-7 of themselves
 move them by 1e-4 to 1e-3 of themselves. So the engines `motion` and `joint` of `align` keep the order of all sums, and blurs
-before differences are our own (`stages/blurs.py`). OpenCV's flow between tracking frames, from which `motion` starts, differs by
+before differences are our own (`kernels/pictures/blurs.py`). OpenCV's flow between tracking frames, from which `motion` starts, differs by
 up to 0.001 px; it is blurred and taken in steps of 1/16 px at the nodes of a grid. By the differences on three scenes of
 298 x 182 a node takes another step in about one window of a hundred, and then what is said above does not hold for that window.
 

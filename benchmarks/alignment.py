@@ -30,8 +30,8 @@ from benchmarks.accuracy import DOCS, angle
 from benchmarks.moving_scenes import SIZES, Kind, Scene, scene
 from benchmarks.near_light import changed
 from benchmarks.pages import put
-from stages import picture_flow
-from stages.picture_flow import Method, alternating, direct, plain, rounds
+from lightstage.kernels.motion import picture_flow
+from lightstage.kernels.motion.picture_flow import Method, alternating, direct, plain, rounds
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
@@ -77,9 +77,9 @@ def engines() -> dict[str, Engine]:
         out[f"{name}, alternating, {ITERATIONS[flow]} iterations"] = _alternating(flow)
     out["direct"] = lambda s: (direct(s.constant, s.gradient), direct(s.constant, s.complement))
     try:
-        from stages.joint_flow import joint
+        from lightstage.kernels.motion.joint_flow import joint
     except ModuleNotFoundError:
-        print("no row of joint: stages/joint_flow.py is not there")
+        print("no row of joint: kernels/motion/joint_flow.py is not there")
         return out
     out["joint"] = lambda s: joint(s.constant, s.gradient, s.complement)
     return out

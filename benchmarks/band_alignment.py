@@ -1,7 +1,7 @@
 """Bands of a multispectral capture against the true flow: what they are aligned on, and what that does to spectra.
 
 Heads whose bands were moved by known flows (`band_scenes.py`), seeds 2 and 3; what there is to set in
-`stages/band_alignment.py` was set on seed 1. Rows of the rendered head need the shared data.
+`kernels/motion/band_alignment.py` was set on seed 1. Rows of the rendered head need the shared data.
 `python -m benchmarks.alignment --only bands` writes the table.
 """
 
@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from benchmarks import band_scenes
 from benchmarks.accuracy import angle
 from benchmarks.band_scenes import BANDS, NAMES, REFERENCE, BandScene
-from stages.band_alignment import KINDS, Kind, Light, band_flow, gathered
-from stages.flow_warp import warp
-from stages.picture_flow import direct, plain
+from lightstage.kernels.motion.band_alignment import KINDS, Kind, Light, band_flow, gathered
+from lightstage.kernels.motion.flow_warp import warp
+from lightstage.kernels.motion.picture_flow import direct, plain
 
 Array = NDArray[Any]
 SEEDS = (2, 3)

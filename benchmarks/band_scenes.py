@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion, map_coordinates
 
 from benchmarks.accuracy import DATA
-from hw import head, motion, virtual_rig
-from hw.gradients import weights
-from hw.sensor import ELECTRONS_PER_COUNT, OFFSET, READ_NOISE_ELECTRONS, WHITE
-from store.document import load
+from lightstage.hw import head, motion, virtual_rig
+from lightstage.hw.gradients import weights
+from lightstage.hw.sensor import ELECTRONS_PER_COUNT, OFFSET, READ_NOISE_ELECTRONS, WHITE
+from lightstage.store.document import load
 
 Array = NDArray[Any]
 Motion = Literal["still", "plane", "turned"]

@@ -14,9 +14,9 @@ import xarray
 from numpy.typing import NDArray
 
 from benchmarks.accuracy import DATA, Bench, angle
-from stages.calibration.board_corners import find_corners
-from stages.calibration.camera_matrix import fit_camera
-from store.document import load
+from lightstage.kernels.targets.board_corners import find_corners
+from lightstage.kernels.targets.camera_matrix import fit_camera
+from lightstage.store.document import load
 
 Array = NDArray[Any]
 

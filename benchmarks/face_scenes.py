@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hw import head
-from stages.face_frame import Frame, bring, similarity, turned
-from stages.flow_warp import unit
+from lightstage.hw import head
+from lightstage.kernels.faces.face_frame import Frame, bring, similarity, turned
+from lightstage.kernels.motion.flow_warp import unit
 
 Array = NDArray[Any]
 PARTS = {

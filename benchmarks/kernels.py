@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.spherical_gradients import FILL, GRADIENTS, STEPS, Normals, solve, table
+from lightstage.kernels.normals.spherical_gradients import FILL, GRADIENTS, STEPS, Normals, solve, table
 
 SHAPE = (1236, 1624)
 THESIS_SECONDS = 1.78 * 3600

@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 from benchmarks.accuracy import DOCS, angle
 from benchmarks.pages import put
 from benchmarks.pipeline import ROOT, command, timed
-from stages import spherical_gradients
-from stages.flow_warp import warp
-from stages.picture_sets import choose
-from stages.spherical_gradients import FILL, STEPS
+from lightstage.kernels.motion.flow_warp import warp
+from lightstage.kernels.normals import spherical_gradients
+from lightstage.kernels.normals.spherical_gradients import FILL, STEPS
+from lightstage.kernels.pictures.picture_sets import choose
 
 Array = NDArray[Any]
 DATA = ROOT.parent / "shared" / "data" / "rendered"

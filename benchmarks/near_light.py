@@ -24,11 +24,13 @@ from numpy.typing import NDArray
 
 from benchmarks.accuracy import DATA, DOCS, Bench, angle, truth_of
 from benchmarks.pages import put
-from stages import integration, interreflection, loose_parts, near_light, self_consistent, subject_mask, visibility
-from stages.integration import integrate
-from stages.near_light import Lights, Measured
-from stages.pinhole import Pinhole
-from store.document import load
+from lightstage.kernels.normals import near_light, self_consistent
+from lightstage.kernels.normals.near_light import Lights, Measured
+from lightstage.kernels.pictures import subject_mask
+from lightstage.kernels.surface import integration, interreflection, loose_parts, visibility
+from lightstage.kernels.surface.integration import integrate
+from lightstage.kernels.surface.pinhole import Pinhole
+from lightstage.store.document import load
 
 Array = NDArray[Any]
 

@@ -35,7 +35,7 @@ stages:
 
 def command(store: Path, *words: str | Path) -> list[str]:
     """The command line of `lightstage`."""
-    return [sys.executable, "-m", "cli.main", "--store", str(store), *map(str, words)]
+    return [sys.executable, "-m", "lightstage.cli.main", "--store", str(store), *map(str, words)]
 
 
 def timed(words: list[str]) -> tuple[float, float, str]:
@@ -95,8 +95,8 @@ def plain_loop(raw: Path, items: dict[str, Any], facts: dict[str, Any], target: 
     import zarr
     from zarr.codecs import BloscCodec
 
-    from stages import normals, register, split, stack
-    from stages.picture_sets import choose, chosen_sets, windows
+    from lightstage.kernels.pictures.picture_sets import choose, chosen_sets, windows
+    from lightstage.stages import normals, register, split, stack
 
     cv2.setNumThreads(1)
     zarr.config.set({"async.concurrency": 1, "threading.max_workers": threads})
@@ -156,10 +156,10 @@ def plain_loop(raw: Path, items: dict[str, Any], facts: dict[str, Any], target: 
 
 def compare_with_plain_loop(work: Path, folder: Path, rounds: int) -> None:
     """End to end, ours against the loop, in turn."""
-    from store.calibration import get_item
-    from store.importer import import_capture
-    from store.root import Store
-    from store.sessions import read_session
+    from lightstage.store.calibration import get_item
+    from lightstage.store.importer import import_capture
+    from lightstage.store.root import Store
+    from lightstage.store.sessions import read_session
 
     name = folder.name
     base = work / "base"

@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from benchmarks.accuracy import DATA, DOCS, Bench, truth_of
 from benchmarks.near_light import Subject
 from benchmarks.pages import put
-from hw.virtual_rig import Shot, radiance
-from stages.colour import encode_srgb, linear_srgb_matrix
-from stages.relighting import Lamps, Likeness, Surface, compare, relight
+from lightstage.hw.virtual_rig import Shot, radiance
+from lightstage.kernels.appearance.colour import encode_srgb, linear_srgb_matrix
+from lightstage.kernels.appearance.relighting import Lamps, Likeness, Surface, compare, relight
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt

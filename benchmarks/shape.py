@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 
 from benchmarks.accuracy import DATA, DOCS, Bench
 from benchmarks.pages import put
-from stages.integration import integrate
-from stages.pinhole import Pinhole
-from stages.shape import BELOW, RIGHT, breaks
-from store.document import load
+from lightstage.kernels.surface.integration import integrate
+from lightstage.kernels.surface.pinhole import Pinhole
+from lightstage.stages.shape import BELOW, RIGHT, breaks
+from lightstage.store.document import load
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from benchmarks.accuracy import DATA, DOCS, Bench, partial_correlation
 from benchmarks.pages import write_tables
-from stages import absorption, skin_layers
-from stages import colour as of_bands
-from stages.chromophores import ChromophoresParams, chromophores, predicted
-from store.document import load
+from lightstage.kernels.appearance import absorption, skin_layers
+from lightstage.kernels.appearance import colour as of_bands
+from lightstage.stages.chromophores import ChromophoresParams, chromophores, predicted
+from lightstage.store.document import load
 
 Array = NDArray[Any]
 SETTINGS = {

@@ -22,9 +22,9 @@ from PIL import Image
 from benchmarks.accuracy import DOCS, Bench
 from benchmarks.face_scenes import PARTS, framed, true_flow, view
 from benchmarks.pages import put
-from cli.face_points import find_points, mean_face
-from stages.face_flow import face_flow, landed
-from stages.face_frame import Frame, find_face
+from lightstage.cli.face_points import find_points, mean_face
+from lightstage.kernels.faces.face_flow import face_flow, landed
+from lightstage.kernels.faces.face_frame import Frame, find_face
 
 Array = NDArray[Any]
 SEEDS = range(1, 7)

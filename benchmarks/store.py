@@ -88,15 +88,15 @@ def main() -> None:
             "stages:\n  capture: {uses: capture}\n  register: {uses: register, from: capture}\n"
             "  split: {uses: split, from: register}\n"
         )
-        start: tuple[str | Path, ...] = ("-m", "cli.main", "--store", work / "store")
+        start: tuple[str | Path, ...] = ("-m", "lightstage.cli.main", "--store", work / "store")
         process((*start, "import", capture(work / "noise", options.frames)))
         run = (*start, "run", "--session", "noise", "--pipeline", pipeline)
         process(run)
         numpy, cached, plain, verified = [], [], [], []
         files = sorted({p.stat().st_ino: p for p in (work / "store").rglob("*") if p.is_file()}.values())
         size = sum(file.stat().st_size for file in files)
-        from store.root import Store
-        from store.verify import verify
+        from lightstage.store.root import Store
+        from lightstage.store.verify import verify
 
         for _ in range(options.rounds):
             numpy.append(process(("-c", "import numpy")))

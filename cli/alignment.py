@@ -21,13 +21,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cli.film import colours, font
-from cli.show import Screen
-from cli.values import whole
-from formats.png import encode_png
-from formats.whole_file import write_whole
-from store.errors import RequestError
-from store.root import Store
+from lightstage.cli.film import colours, font
+from lightstage.cli.show import Screen
+from lightstage.cli.values import whole
+from lightstage.formats.png import encode_png
+from lightstage.formats.whole_file import write_whole
+from lightstage.store.errors import RequestError
+from lightstage.store.root import Store
 
 if TYPE_CHECKING:
     import numpy as np
@@ -107,7 +107,7 @@ class Residual:
 
 def handle_alignment(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage alignment."""
-    from store.sessions import read_session
+    from lightstage.store.sessions import read_session
 
     store = Store(options.store, create=False)
     session = read_session(options.session, store).name
@@ -147,8 +147,8 @@ def read_columns(session: str, tracking: int | None, store: Store) -> tuple[int,
     """
     import numpy as np
 
-    from store.grid import open_dataset
-    from store.results import current_path
+    from lightstage.store.grid import open_dataset
+    from lightstage.store.results import current_path
 
     dataset = open_dataset(current_path(session, "align", store))
     stack = open_dataset(current_path(session, "stack", store))

@@ -6,18 +6,18 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from cli.run import versions
-from cli.show import RunWatcher, Screen
-from formats.whole_file import write_whole
-from store.errors import LightstageError, RequestError, WorkError
-from store.files import human_size
-from store.root import Store
+from lightstage.cli.run import pipeline_path, versions
+from lightstage.cli.show import RunWatcher, Screen
+from lightstage.formats.whole_file import write_whole
+from lightstage.store.errors import LightstageError, RequestError, WorkError
+from lightstage.store.files import human_size
+from lightstage.store.root import Store
 
 if TYPE_CHECKING:
-    from dag.plan import Plan
-    from dag.stage import Finding, Result
-    from store.calibration import Item
-    from store.sessions import Session
+    from lightstage.dag.plan import Plan
+    from lightstage.dag.stage import Finding, Result
+    from lightstage.store.calibration import Item
+    from lightstage.store.sessions import Session
 
 _MOVED_PX, _MOVED_MM = 0.1, 10.0
 """What a camera or a light may move between two calibrations before somebody should look: a homography must be good
@@ -56,11 +56,11 @@ def configure(commands: Any) -> None:
 
 def handle_calibrate(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage calibrate."""
-    from cli.calibration_report import write_report
-    from cli.run import override_items
-    from cli.sessions import import_folder
-    from store.capture import read_captures
-    from store.sessions import read_session, remove_session, restore_session, session_names
+    from lightstage.cli.calibration_report import write_report
+    from lightstage.cli.run import override_items
+    from lightstage.cli.sessions import import_folder
+    from lightstage.store.capture import read_captures
+    from lightstage.store.sessions import read_session, remove_session, restore_session, session_names
 
     capture = read_captures(options.folders)  # a typo in it must not even make a store
     name = options.session or capture.description.session
@@ -115,21 +115,10 @@ def handle_calibrate(options: argparse.Namespace, screen: Screen) -> int:
     return 0
 
 
-def pipeline_path(given: Path | None) -> Path:
-    """The calibration pipeline: the one given, the current folder's, or the packaged one."""
-    root = Path(__file__).resolve().parent.parent
-    tried = [given] if given is not None else [Path("calibration.yaml"), root / "stages", root]
-    for path in tried:
-        file = path / "calibration.yaml" if path.is_dir() else path
-        if file.is_file() or given is not None:
-            return file
-    raise RequestError("there is no calibration.yaml here and none was installed; name one with --pipeline")
-
-
 def _plan(options: argparse.Namespace, session: "Session", given: "Mapping[str, Item]", store: Store) -> "Plan":
-    from dag.graph import load_graph
-    from dag.plan import bound_items, make_plan
-    from stages import TABLE
+    from lightstage.dag.graph import load_graph
+    from lightstage.dag.plan import bound_items, make_plan
+    from lightstage.stages import TABLE
 
     overrides = list(options.overrides)
     if options.outline:
@@ -138,15 +127,15 @@ def _plan(options: argparse.Namespace, session: "Session", given: "Mapping[str, 
         if options.item != "lights":
             raise RequestError(f"--driven-from is for `calibrate lights`; {options.item} has no weights")
         overrides.append(f"lights.driven_from={options.driven_from}")
-    graph = load_graph(pipeline_path(options.pipeline), TABLE, overrides=overrides)
+    graph = load_graph(pipeline_path(options.pipeline, "calibration.yaml"), TABLE, overrides=overrides)
     if options.item not in graph.nodes:
         raise RequestError(f"{graph.source} has no node '{options.item}'")
     return make_plan(graph, session, store, bound_items(session, store, given), [options.item])
 
 
 def _run(plan: "Plan", store: Store, screen: Screen) -> tuple[dict[str, Any], Path]:
-    from dag.places import Where
-    from dag.run import run
+    from lightstage.dag.places import Where
+    from lightstage.dag.run import run
 
     with RunWatcher(screen) as watcher:
         _, results = run(plan, store, watcher, where=Where(), versions=versions())
@@ -168,8 +157,8 @@ def _run(plan: "Plan", store: Store, screen: Screen) -> tuple[dict[str, Any], Pa
 
 def read_result(plan: "Plan", path: Path) -> "Result":
     """What a target node found, as its `item` and `verdict` read it."""
-    from dag.stage import Result
-    from store.grid import open_dataset
+    from lightstage.dag.stage import Result
+    from lightstage.store.grid import open_dataset
 
     opened = open_dataset(path)
     arrays = {
@@ -186,8 +175,8 @@ def keep_item(content: Mapping[str, Any], session: "Session", store: Store) -> "
     """Write an item and its pictures into a scratch folder, check it as any other, and keep it in the store."""
     import cv2
 
-    from store import document
-    from store.calibration import put_item, read_item
+    from lightstage.store import document
+    from lightstage.store.calibration import put_item, read_item
 
     folder = store.scratch.path()
     folder.mkdir(parents=True)
@@ -226,8 +215,8 @@ def _write_out(folder: Path, out: Path) -> Path:
 
 def changes_since(item: "Item", shape: tuple[int, int], store: Store) -> "list[Finding]":
     """What has moved since the last item of this kind and rig; `shape` is that of the pictures (rows, columns)."""
-    from dag.stage import Finding
-    from store.calibration import all_items
+    from lightstage.dag.stage import Finding
+    from lightstage.store.calibration import all_items
 
     others = [
         other

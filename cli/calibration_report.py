@@ -10,13 +10,13 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cli.figures import pyplot
-from formats.whole_file import write_whole
-from store.root import Store
+from lightstage.cli.figures import pyplot
+from lightstage.formats.whole_file import write_whole
+from lightstage.store.root import Store
 
 if TYPE_CHECKING:
-    from dag.plan import Plan
-    from dag.stage import Finding, Result
+    from lightstage.dag.plan import Plan
+    from lightstage.dag.stage import Finding, Result
 
 _STYLE = """
 body { font: 16px/1.45 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; color: #222; }
@@ -104,7 +104,7 @@ def _axes(width: float = 9.0, height: float = 6.0, columns: int = 1) -> tuple[An
 def _lights(plan: "Plan", result: "Result", store: Store) -> _Drawn:
     import numpy as np
 
-    from stages.calibration.lights import STATUS
+    from lightstage.stages.calibration.lights import STATUS
 
     names = list(result.labels["light"])
     illumination = list(plan.session.facts["illumination"])
@@ -202,8 +202,8 @@ def _camera(plan: "Plan", result: "Result", store: Store) -> _Drawn:
 
 def _corners(plan: "Plan", store: Store) -> _Drawn:
     """The boards with the corners found on them, the reference camera."""
-    from store.grid import open_dataset
-    from store.results import current_path
+    from lightstage.store.grid import open_dataset
+    from lightstage.store.results import current_path
 
     found = open_dataset(current_path(plan.session.name, "corners", store))
     names = list(plan.session.polarisations)

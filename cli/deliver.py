@@ -13,9 +13,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from store.digest import digest_bytes
-from store.errors import RequestError, WorkError
-from store.intake import read_regular
+from lightstage.store.digest import digest_bytes
+from lightstage.store.errors import RequestError, WorkError
+from lightstage.store.intake import read_regular
 
 _LARGEST_RECORD = 64 << 20
 

@@ -10,11 +10,11 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
-from cli.show import Screen
-from cli.values import whole
-from store.errors import RequestError
-from store.files import link_or_copy
-from store.root import Store
+from lightstage.cli.show import Screen
+from lightstage.cli.values import whole
+from lightstage.store.errors import RequestError
+from lightstage.store.files import link_or_copy
+from lightstage.store.root import Store
 
 TARGETS = {
     "ball": "lights",
@@ -81,7 +81,7 @@ def handle_demo(options: argparse.Namespace, screen: Screen) -> int:
     for option, value in (("--tracking", options.tracking), ("--motion", options.motion)):
         if value is not None and not performance:
             raise RequestError(f"{option} {value}: only a performance has it; add --sequence wilson or minimal")
-    from store.capture import NAME_RULE, SESSION_NAME
+    from lightstage.store.capture import NAME_RULE, SESSION_NAME
 
     if not SESSION_NAME.fullmatch(options.session):
         raise RequestError(f"--session '{options.session}': a name has {NAME_RULE}")
@@ -108,8 +108,8 @@ def handle_demo(options: argparse.Namespace, screen: Screen) -> int:
 
 
 def _performance(options: argparse.Namespace) -> dict[str, Any]:
-    from hw.errors import RigError
-    from hw.sequence import minimal, wilson
+    from lightstage.hw.errors import RigError
+    from lightstage.hw.sequence import minimal, wilson
 
     tracking = TRACKING if options.tracking is None else options.tracking
     try:
@@ -122,9 +122,9 @@ def _performance(options: argparse.Namespace) -> dict[str, Any]:
 def _target(
     options: argparse.Namespace, store: Store, screen: Screen, width: int, height: int, bands: tuple[int, ...]
 ) -> int:
-    from hw import ball_targets, flat_targets
-    from hw.errors import RigError
-    from hw.virtual_rig import Shot
+    from lightstage.hw import ball_targets, flat_targets
+    from lightstage.hw.errors import RigError
+    from lightstage.hw.virtual_rig import Shot
 
     name = options.session if options.session != "demo" else f"demo-{options.target}"
     folder = store.root / "captures" / f"{name}-{width}x{height}-{options.seed}"
@@ -159,10 +159,10 @@ def _target(
 
 def demo_session(store: Store, screen: Screen, *, name: str = "demo", **shot: Any) -> str:
     """Capture with the virtual rig unless the same capture is there, import it, and return the session's name."""
-    from cli.sessions import import_folder
-    from hw.errors import RigError
-    from hw.virtual_rig import Shot, capture
-    from store.digest import SHORT, digest_value
+    from lightstage.cli.sessions import import_folder
+    from lightstage.hw.errors import RigError
+    from lightstage.hw.virtual_rig import Shot, capture
+    from lightstage.store.digest import SHORT, digest_value
 
     store.scratch.make_folder(store.root / "captures")
     try:
@@ -188,7 +188,7 @@ def demo_session(store: Store, screen: Screen, *, name: str = "demo", **shot: An
 
 def moving_session(store: Store, screen: Screen) -> str:
     """The performance that `demo --sequence minimal` captures; returns the session's name."""
-    from hw.sequence import minimal
+    from lightstage.hw.sequence import minimal
 
     return demo_session(
         store,

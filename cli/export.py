@@ -11,14 +11,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cli import film, mesh
-from cli.show import Screen
-from cli.values import number, whole
-from formats.exr import DATA, write_exr
-from formats.png import encode_png
-from formats.whole_file import whole_file
-from store.errors import RequestError
-from store.root import Store
+from lightstage.cli import film, mesh
+from lightstage.cli.show import Screen
+from lightstage.cli.values import number, whole
+from lightstage.formats.exr import DATA, write_exr
+from lightstage.formats.png import encode_png
+from lightstage.formats.whole_file import whole_file
+from lightstage.store.errors import RequestError
+from lightstage.store.root import Store
 
 if TYPE_CHECKING:
     import numpy as np
@@ -75,10 +75,10 @@ class Plane:
 
 def handle_export(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage export."""
-    from cli.look import brings_in
-    from store.grid import open_dataset
-    from store.results import current_path
-    from store.sessions import raw_group, read_session
+    from lightstage.cli.look import brings_in
+    from lightstage.store.grid import open_dataset
+    from lightstage.store.results import current_path
+    from lightstage.store.sessions import raw_group, read_session
 
     if options.fps is not None and options.format not in film.FILMS:
         raise RequestError(f"--fps {options.fps:g}: only a film has it; choose --format {' or '.join(film.FILMS)}")

@@ -10,7 +10,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from store.errors import RequestError
+from lightstage.store.errors import RequestError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -35,7 +35,7 @@ def read_points(path: Path, sessions: Sequence[str]) -> dict[str, Points]:
     """
     import numpy as np
 
-    from store.document import load
+    from lightstage.store.document import load
 
     plain = load(path, what="a file of points").value
     if not isinstance(plain, Mapping):
@@ -77,10 +77,10 @@ def find_points(normal: "NDArray[np.float32]", session: str) -> tuple[Points, fl
     """
     import numpy as np
 
-    from dag.stage import StageError
-    from stages.face_flow import face_flow, landed
-    from stages.face_frame import bring, filled, find_face
-    from stages.flow_warp import unit
+    from lightstage.dag.stage import StageError
+    from lightstage.kernels.faces.face_flow import face_flow, landed
+    from lightstage.kernels.faces.face_frame import bring, filled, find_face
+    from lightstage.kernels.motion.flow_warp import unit
 
     template, eyes = mean_face()
     try:
@@ -111,7 +111,7 @@ def mean_face() -> tuple[Any, Any]:
     """The template: normals (xyz, y, x) of the mean head from the front, and its eyes (eye, xy), pixels."""
     import numpy as np
 
-    from hw.head import coarse_field, parts, surface
+    from lightstage.hw.head import coarse_field, parts, surface
 
     shape = parts(0)
     x = np.arange(-_X, _X + _MM / 2, _MM)

@@ -20,7 +20,7 @@ def fonts() -> Path:
 
 
 def _matplotlib() -> Any:
-    from hw.home import spare_home
+    from lightstage.home import spare_home
 
     spare_home()
     import matplotlib

@@ -21,19 +21,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cli.figures import fonts
-from cli.show import Screen
-from formats.png import encode_png
-from formats.whole_file import whole_file, write_whole
-from store.errors import RequestError, WorkError
-from store.root import Store
+from lightstage.cli.figures import fonts
+from lightstage.cli.show import Screen
+from lightstage.formats.png import encode_png
+from lightstage.formats.whole_file import whole_file, write_whole
+from lightstage.store.errors import RequestError, WorkError
+from lightstage.store.root import Store
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
     from PIL.ImageFont import FreeTypeFont
 
-    from store.sessions import Session
+    from lightstage.store.sessions import Session
 
 FILMS = ("mp4", "gif")
 FORMATS = (*FILMS, "png")
@@ -500,9 +500,9 @@ def session_film(session: "Session", node: str, store: Store, screen: Screen) ->
     Raises:
         RequestError: the node has no normals in time.
     """
-    from cli.deliver import noted
-    from store.grid import open_dataset
-    from store.results import current_path
+    from lightstage.cli.deliver import noted
+    from lightstage.store.grid import open_dataset
+    from lightstage.store.results import current_path
 
     result = current_path(session.name, node, store)
     folder = store.root / "pictures"

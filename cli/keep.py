@@ -4,10 +4,10 @@ import argparse
 import re
 from typing import Any
 
-from cli.show import Screen
-from store.errors import DamagedChunkError, DamagedGroupError, RequestError, WorkError
-from store.files import human_size
-from store.root import Store
+from lightstage.cli.show import Screen
+from lightstage.store.errors import DamagedChunkError, DamagedGroupError, RequestError, WorkError
+from lightstage.store.files import human_size
+from lightstage.store.root import Store
 
 _GRACE = re.compile(r"([0-9]{1,6})([smhd]?)")
 _SECONDS = {"s": 1, "m": 60, "h": 3600, "d": 86400, "": 1}
@@ -29,7 +29,7 @@ def configure(commands: Any) -> None:
 
 def handle_verify(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage verify."""
-    from store.verify import verify
+    from lightstage.store.verify import verify
 
     store = Store(options.store, create=False)
     report = verify(store, progress=screen.progress)
@@ -62,7 +62,7 @@ def set_aside(damage: DamagedChunkError | DamagedGroupError, options: argparse.N
     Raises:
         WorkError: the command cannot do that; says which one can.
     """
-    from store.verify import verify
+    from lightstage.store.verify import verify
 
     screen.warn(f"{damage}; looking through the store")
     try:
@@ -82,7 +82,7 @@ def set_aside(damage: DamagedChunkError | DamagedGroupError, options: argparse.N
 
 def handle_gc(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage gc."""
-    from store.gc import gc
+    from lightstage.store.gc import gc
 
     match = _GRACE.fullmatch(options.grace)
     if not match:
@@ -109,8 +109,8 @@ def handle_gc(options: argparse.Namespace, screen: Screen) -> int:
 
 def handle_upgrade(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage upgrade."""
-    from store.marker import FORMAT
-    from store.upgrade import upgrade
+    from lightstage.store.marker import FORMAT
+    from lightstage.store.upgrade import upgrade
 
     done = upgrade(options.store, progress=screen.progress)
     for line in done.left:

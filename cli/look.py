@@ -4,10 +4,10 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from cli.run import add_run_options, add_session_options, parse_frames, pipeline_path, plan_for
-from cli.show import Screen
-from store.files import human_size
-from store.root import Store
+from lightstage.cli.run import add_run_options, add_session_options, parse_frames, pipeline_path, plan_for
+from lightstage.cli.show import Screen
+from lightstage.store.files import human_size
+from lightstage.store.root import Store
 
 
 def configure(commands: Any) -> None:
@@ -36,10 +36,10 @@ def configure(commands: Any) -> None:
 
 def handle_status(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage status."""
-    from dag.explain import status
-    from dag.plan import look_up
-    from store.errors import RequestError
-    from store.sessions import session_names
+    from lightstage.dag.explain import status
+    from lightstage.dag.plan import look_up
+    from lightstage.store.errors import RequestError
+    from lightstage.store.sessions import session_names
 
     store = Store(options.store, create=False)
     answer: dict[str, Any] = {}
@@ -75,10 +75,10 @@ def handle_status(options: argparse.Namespace, screen: Screen) -> int:
 
 def handle_why(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage why."""
-    from dag.explain import why
-    from dag.plan import look_up
-    from store.document import nearest
-    from store.errors import RequestError
+    from lightstage.dag.explain import why
+    from lightstage.dag.plan import look_up
+    from lightstage.store.document import nearest
+    from lightstage.store.errors import RequestError
 
     store = Store(options.store, create=False)
     state = look_up(plan_for(options, store, [options.node]), store, frames=parse_frames(options.frames))
@@ -102,8 +102,8 @@ def handle_why(options: argparse.Namespace, screen: Screen) -> int:
 
 def handle_graph(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage graph."""
-    from dag.graph import load_graph
-    from stages import TABLE
+    from lightstage.dag.graph import load_graph
+    from lightstage.stages import TABLE
 
     graph = load_graph(pipeline_path(options.pipeline), TABLE)
     below: dict[str, list[str]] = {name: [] for name in graph.nodes}
@@ -146,8 +146,8 @@ def handle_graph(options: argparse.Namespace, screen: Screen) -> int:
 
 def handle_path(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage path."""
-    from store.results import current_path
-    from store.sessions import read_session
+    from lightstage.store.results import current_path
+    from lightstage.store.sessions import read_session
 
     store = Store(options.store, create=False)
     read_session(options.session, store)
@@ -162,14 +162,14 @@ def handle_path(options: argparse.Namespace, screen: Screen) -> int:
 
 def brings_in(session: str, node: str, store: Store, pipeline: Path | None) -> bool:
     """Whether a node without a result is one that brings in the session, whatever it is called."""
-    from store.results import current
+    from lightstage.store.results import current
 
     return current(session, node, store) is None and node in _source_nodes(pipeline)
 
 
 def _source_nodes(pipeline: Path | None) -> list[str]:
     """The nodes of a pipeline that read no other."""
-    from store import document
+    from lightstage.store import document
 
     entries = document.load(pipeline_path(pipeline), what="a pipeline").value
     nodes = entries.get("stages") if isinstance(entries, dict) else None

@@ -19,9 +19,9 @@ from collections.abc import Sequence  # noqa: E402
 from importlib import import_module  # noqa: E402
 from typing import Any, NoReturn  # noqa: E402
 
-from cli.show import Screen, written  # noqa: E402
-from hw.compiled import folder, offer  # noqa: E402
-from store.errors import (  # noqa: E402
+from lightstage.cli.show import Screen, written  # noqa: E402
+from lightstage.compiled import folder, offer  # noqa: E402
+from lightstage.store.errors import (  # noqa: E402
     DamagedChunkError,
     DamagedGroupError,
     LightstageError,
@@ -63,7 +63,7 @@ class _Parser(argparse.ArgumentParser):
         command = self.prog.removeprefix("lightstage").strip()
         wrong = re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message)
         if wrong:
-            from store.document import nearest
+            from lightstage.store.document import nearest
 
             options = re.findall(r"[\w.-]+", wrong[2])
             message = f"'{wrong[1]}' is not known{nearest(wrong[1], options)}"
@@ -90,7 +90,7 @@ def build_parser() -> argparse.ArgumentParser:
     _common(parser, default=False)
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", parser_class=_Parser)
     for family in FAMILIES:
-        import_module(f"cli.{family}").configure(commands)
+        import_module(f"lightstage.cli.{family}").configure(commands)
     for command in commands.choices.values():
         _common(command, default=argparse.SUPPRESS)
         for action in command._actions:
@@ -161,7 +161,7 @@ def _command(words: Sequence[str], screen: Screen) -> int:
     try:
         return int(options.handler(options, screen))
     except (DamagedChunkError, DamagedGroupError) as damage:
-        from cli.keep import set_aside
+        from lightstage.cli.keep import set_aside
 
         set_aside(damage, options, screen)
         # begun again; what was computed before is there

@@ -1,11 +1,8 @@
 """material: what a renderer needs of a subject, as EXR maps and as a GLB with a glTF PBR material.
 
-Base colour is the diffuse albedo of all bands, seen in colour (`stages/colour.py`); it lies beside the bands
-themselves. Maps are padded beyond the subject with what is nearest, so that filtering brings in no background; the
-mask says where the subject is.
-
-Roughness in renderers (glTF, OpenPBR, Principled) is the square root of the GGX width. glTF's reflectance at normal
-incidence is 0.04 times the specular factor: 1.5 is its refractive index where a file names no other.
+Base colour is the diffuse albedo of all bands, seen in colour (`kernels/appearance/colour.py`); it lies beside
+the bands themselves. Maps are padded beyond the subject with what is nearest, so that filtering brings in no
+background; the mask says where the subject is.
 """
 
 import argparse
@@ -14,18 +11,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cli.deliver import Delivery
-from cli.run import add_run_options, override_items, paths_of, run_session, session_of
-from cli.show import Screen
-from cli.values import whole
-from store.errors import RequestError
-from store.root import Store
+from lightstage.cli.deliver import Delivery
+from lightstage.cli.run import add_run_options, override_items, paths_of, run_session, session_of
+from lightstage.cli.show import Screen
+from lightstage.cli.values import whole
+from lightstage.store.errors import RequestError
+from lightstage.store.root import Store
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from stages.pinhole import Pinhole
+    from lightstage.kernels.surface.pinhole import Pinhole
 
 FORMATS = ("exr", "glb")
 RECORD = "material.json"
@@ -87,7 +84,7 @@ class Material:
         """(y, x, rgb): linear Rec. 709 under D65, grey of one band; negative where a colour is beyond it."""
         import numpy as np
 
-        from stages.colour import linear_srgb_matrix
+        from lightstage.kernels.appearance.colour import linear_srgb_matrix
 
         matrix = linear_srgb_matrix(self.bands_nm, self.widths_nm)
         return np.moveaxis(np.tensordot(matrix, self.reflectance, 1), 0, 2)
@@ -111,7 +108,7 @@ class Gloss:
 
 def nodes_of(session: str, store: Store) -> tuple[str, ...]:
     """What has to be run: gloss needs both polarisations."""
-    from store.sessions import read_session
+    from lightstage.store.sessions import read_session
 
     polarised = {"parallel", "cross"} <= set(read_session(session, store).polarisations)
     return (*_NODES, *_GLOSS) if polarised else _NODES
@@ -119,7 +116,7 @@ def nodes_of(session: str, store: Store) -> tuple[str, ...]:
 
 def handle_material(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage material."""
-    from cli.demo import demo_session
+    from lightstage.cli.demo import demo_session
 
     formats = options.format.split(",")
     wrong = [form for form in formats if form not in FORMATS]
@@ -171,10 +168,10 @@ def read_material(options: argparse.Namespace, store: Store, paths: Mapping[str,
     """
     import numpy as np
 
-    from dag.plan import bound_items
-    from stages.pinhole import Pinhole
-    from store.grid import open_dataset
-    from store.sessions import read_session
+    from lightstage.dag.plan import bound_items
+    from lightstage.kernels.surface.pinhole import Pinhole
+    from lightstage.store.grid import open_dataset
+    from lightstage.store.sessions import read_session
 
     session = read_session(options.session, store)
     opened = {node: open_dataset(path) for node, path in paths.items()}
@@ -227,7 +224,7 @@ def read_material(options: argparse.Namespace, store: Store, paths: Mapping[str,
 def _gloss(specular: Any, alpha: Any, normal: Any, known: Any, attrs: Mapping[str, Any]) -> Gloss:
     import numpy as np
 
-    from stages.microfacets import at_normal_incidence
+    from lightstage.kernels.appearance.microfacets import at_normal_incidence
 
     index, absolute = float(attrs["index"]), attrs["scale"] == "absolute"
     if not absolute:
@@ -249,8 +246,8 @@ def _write_maps(work: Path, material: Material) -> dict[str, dict[str, Any]]:
     """The EXR files; returns what each is."""
     import numpy as np
 
-    from cli.mesh import filled
-    from formats.exr import COLOUR, DATA, REC709, rgb, spectral, write_exr
+    from lightstage.cli.mesh import filled
+    from lightstage.formats.exr import COLOUR, DATA, REC709, rgb, spectral, write_exr
 
     known, gloss = material.known, material.gloss
     files: dict[str, dict[str, Any]] = {}
@@ -309,7 +306,7 @@ def _write_glb(work: Path, material: Material) -> dict[str, dict[str, Any]]:
     """The mesh with its material; returns what it is."""
     import numpy as np
 
-    from cli.mesh import ROUGHNESS, smooth_frames, surface_of, tangent_space, write_glb
+    from lightstage.cli.mesh import ROUGHNESS, smooth_frames, surface_of, tangent_space, write_glb
 
     known, gloss = material.known, material.gloss
     base = np.where(known[..., None], material.colour, np.nan)

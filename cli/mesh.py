@@ -18,18 +18,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cli.show import Screen
-from formats.whole_file import write_whole
-from store.errors import RequestError
-from store.root import Store
+from lightstage.cli.show import Screen
+from lightstage.formats.whole_file import write_whole
+from lightstage.store.errors import RequestError
+from lightstage.store.root import Store
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
     from PIL.Image import Image as Picture
 
-    from stages.pinhole import Pinhole
-    from store.sessions import Session
+    from lightstage.kernels.surface.pinhole import Pinhole
+    from lightstage.store.sessions import Session
 
 FORMATS = ("ply", "obj", "glb")
 _EDGE_ON = 0.06
@@ -163,7 +163,7 @@ def smooth_frames(depth_mm: "NDArray[np.float64]", camera: "Pinhole", *, every: 
     import cv2
     import numpy as np
 
-    from stages.rig_normals import surface_normals
+    from lightstage.kernels.normals.rig_normals import surface_normals
 
     unit = np.nan_to_num(surface_normals(camera.points(depth_mm), np.isfinite(depth_mm)))
     sigma = max(_SMOOTH_PX, float(every))
@@ -331,7 +331,7 @@ def write_mesh(
 
 
 def _colour_picture(linear: "NDArray[np.float64]") -> "Picture":
-    from stages.colour import encode_srgb
+    from lightstage.kernels.appearance.colour import encode_srgb
 
     return _picture(encode_srgb(filled(linear)))
 
@@ -380,9 +380,9 @@ def camera_of(dataset: Any, node: str, session: "Session", store: Store) -> "Pin
     Raises:
         RequestError: the node has no depth, or the session no camera item that fits it.
     """
-    from dag.plan import bound_items
-    from dag.stage import StageError
-    from stages.pinhole import Pinhole
+    from lightstage.dag.plan import bound_items
+    from lightstage.dag.stage import StageError
+    from lightstage.kernels.surface.pinhole import Pinhole
 
     if "depth_mm" not in dataset:
         raise RequestError(
@@ -426,7 +426,7 @@ def export_meshes(
     """One mesh per tracking frame of a node that has depth; returns what `export` answers."""
     import numpy as np
 
-    from dag.plan import bound_items
+    from lightstage.dag.plan import bound_items
 
     items = bound_items(session, store, {})
     files: list[str] = []
@@ -462,8 +462,8 @@ def export_meshes(
 
 def _at(session: "Session", store: Store, nodes: Sequence[str], array: str, frame: int) -> Any:
     """The array of the first of these nodes that has a result with it, at a tracking frame; None without."""
-    from store.grid import open_dataset
-    from store.results import current
+    from lightstage.store.grid import open_dataset
+    from lightstage.store.results import current
 
     for node in nodes:
         folder = current(session.name, node, store)
@@ -479,7 +479,7 @@ def _colour(session: "Session", store: Store, items: Mapping[str, Any], frame: i
     """Albedo as linear sRGB (y, x, rgb), NaN where it is not known; None where no node has one."""
     import numpy as np
 
-    from stages.colour import linear_srgb_matrix
+    from lightstage.kernels.appearance.colour import linear_srgb_matrix
 
     bands = list(session.facts["bands_nm"])
     albedo = _at(session, store, ("reflectance",), "reflectance", frame)

@@ -4,10 +4,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from formats.exr import COLOUR, REC709
-from formats.png import encode_png
-from store.errors import RequestError
-from store.intake import FileError, open_regular
+from lightstage.formats.exr import COLOUR, REC709
+from lightstage.formats.png import encode_png
+from lightstage.store.errors import RequestError
+from lightstage.store.intake import FileError, open_regular
 
 if TYPE_CHECKING:
     import numpy as np
@@ -31,7 +31,7 @@ def png16(linear: "NDArray[np.floating]", alpha: "NDArray[np.bool_]", text: str)
     """
     import numpy as np
 
-    from stages.colour import encode_srgb
+    from lightstage.kernels.appearance.colour import encode_srgb
 
     counts = np.zeros((*alpha.shape, 4), np.uint16)
     counts[..., :3] = np.where(alpha[..., None], np.floor(65535 * encode_srgb(linear) + 0.5), 0)

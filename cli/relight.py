@@ -8,7 +8,7 @@ under an environment of radiance 1 a white surface that sees all of it shows 1.
 Where the session has a picture of its own under a light that is asked for, the two are compared.
 
 Light is worked out in linear Rec. 709, with the gloss where it was measured, cast shadows, and light bounced once
-(`stages/relighting.py`). An environment is some hundred distant lights, by median cut.
+(`kernels/appearance/relighting.py`). An environment is some hundred distant lights, by median cut.
 """
 
 import argparse
@@ -19,19 +19,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from cli.deliver import Delivery
-from cli.material import FRAME, Material, nodes_of, read_material
-from cli.run import add_run_options, override_items, paths_of, run_session, session_of
-from cli.show import Screen
-from cli.values import number, whole
-from store.errors import RequestError
-from store.root import Store
+from lightstage.cli.deliver import Delivery
+from lightstage.cli.material import FRAME, Material, nodes_of, read_material
+from lightstage.cli.run import add_run_options, override_items, paths_of, run_session, session_of
+from lightstage.cli.show import Screen
+from lightstage.cli.values import number, whole
+from lightstage.store.errors import RequestError
+from lightstage.store.root import Store
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from stages.relighting import Lamps, Surface
+    from lightstage.kernels.appearance.relighting import Lamps, Surface
 
 RECORD = "relight.json"
 FORMAT = "lightstage-relight/1"
@@ -122,7 +122,7 @@ class Row(NamedTuple):
 
 def handle_relight(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage relight."""
-    from cli.demo import demo_session
+    from lightstage.cli.demo import demo_session
 
     _check(options)
     lights = [_light_of(text) for text in options.light]
@@ -242,8 +242,8 @@ def _environment(options: argparse.Namespace) -> "Lamps | None":
     """The lights of the map, as it was turned."""
     if options.environment is None:
         return None
-    from cli.pictures import read_environment
-    from stages.relighting import Lamps, median_cut
+    from lightstage.cli.pictures import read_environment
+    from lightstage.kernels.appearance.relighting import Lamps, median_cut
 
     directions, strength = median_cut(read_environment(options.environment), options.samples or LIGHTS)
     return Lamps.distant(turned(directions, options.rotate or 0.0), strength)
@@ -255,7 +255,7 @@ def _own(
     """The picture of --light and --environment, if they are given."""
     import numpy as np
 
-    from stages.relighting import Lamps
+    from lightstage.kernels.appearance.relighting import Lamps
 
     if not lights and environment is None:
         return []
@@ -274,7 +274,7 @@ def _own(
 def _together(parts: "Sequence[Lamps]") -> "Lamps":
     import numpy as np
 
-    from stages.relighting import Lamps
+    from lightstage.kernels.appearance.relighting import Lamps
 
     return Lamps(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
@@ -287,9 +287,9 @@ def _leds(options: argparse.Namespace, store: Store) -> list[Setup]:
     """
     if not options.led:
         return []
-    from dag.plan import bound_items
-    from store.document import nearest
-    from store.sessions import read_session
+    from lightstage.dag.plan import bound_items
+    from lightstage.store.document import nearest
+    from lightstage.store.sessions import read_session
 
     session = read_session(options.session, store)
     items = bound_items(session, store, override_items(options.calibration, store))
@@ -317,8 +317,8 @@ def _rig(item: Mapping[str, Any]) -> "dict[str, Lamps]":
     """The rig's lights by name; a light without a place is distant."""
     import numpy as np
 
-    from stages.near_light import Lights
-    from stages.relighting import Lamps
+    from lightstage.kernels.appearance.relighting import Lamps
+    from lightstage.kernels.normals.near_light import Lights
 
     lights = Lights.of(item, near=False)
     every = {}
@@ -338,8 +338,8 @@ def _taken(material: Material, setups: Sequence[Setup], path: Path) -> "dict[str
     """
     import numpy as np
 
-    from stages.colour import linear_srgb_matrix
-    from store.grid import open_dataset
+    from lightstage.kernels.appearance.colour import linear_srgb_matrix
+    from lightstage.store.grid import open_dataset
 
     stack = open_dataset(path)["radiance"]
     if not material.absolute or "illumination" not in stack.dims:
@@ -359,8 +359,8 @@ def surface_of(material: Material) -> "Surface":
     """What is lit. Colours outside Rec. 709 come to its border, and holes in the gloss take what is nearest."""
     import numpy as np
 
-    from cli.mesh import filled
-    from stages.relighting import Surface
+    from lightstage.cli.mesh import filled
+    from lightstage.kernels.appearance.relighting import Surface
 
     known, gloss = material.known, material.gloss
     albedo = np.where(known[..., None], np.maximum(material.colour, 0), np.nan)
@@ -388,9 +388,9 @@ def _write_pictures(
     """
     import numpy as np
 
-    from cli.pictures import png16
-    from formats.exr import COLOUR, rgb, write_exr
-    from stages.relighting import compare, relight
+    from lightstage.cli.pictures import png16
+    from lightstage.formats.exr import COLOUR, rgb, write_exr
+    from lightstage.kernels.appearance.relighting import compare, relight
 
     known = material.known
     files: dict[str, dict[str, Any]] = {}
@@ -464,9 +464,9 @@ def _write_film(
     """The environment turned in steps, from where the picture has it; other lights stay."""
     import numpy as np
 
-    from cli.film import write_film
-    from stages.colour import encode_srgb
-    from stages.relighting import relight
+    from lightstage.cli.film import write_film
+    from lightstage.kernels.appearance.colour import encode_srgb
+    from lightstage.kernels.appearance.relighting import relight
 
     assert environment is not None
     count = len(environment.places)
@@ -498,7 +498,7 @@ def _write_sheet(work: Path, rows: Sequence[Row]) -> None:
 
     from PIL import Image, ImageDraw
 
-    from cli.film import font
+    from lightstage.cli.film import font
 
     across = min(len(rows), max(1, math.ceil(math.sqrt(1.3 * len(rows)))))
     thumbs = []

@@ -7,15 +7,16 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cli.show import RunWatcher, Screen
-from cli.values import whole
-from store.errors import RequestError, WorkError
-from store.files import human_size
-from store.root import Store
+from lightstage.cli.show import RunWatcher, Screen
+from lightstage.cli.values import whole
+from lightstage.dag.sources import ROOT
+from lightstage.store.errors import RequestError, WorkError
+from lightstage.store.files import human_size
+from lightstage.store.root import Store
 
 if TYPE_CHECKING:
-    from dag.plan import Plan, State
-    from store.calibration import Item
+    from lightstage.dag.plan import Plan, State
+    from lightstage.store.calibration import Item
 
 
 def configure(commands: Any) -> None:
@@ -80,18 +81,10 @@ def deciding_options(options: argparse.Namespace) -> dict[str, Any]:
     return {name: getattr(options, name) for name in sorted(names)}
 
 
-def pipeline_path(given: Path | None) -> Path:
+def pipeline_path(given: Path | None, name: str = "pipeline.yaml") -> Path:
     """The pipeline file: the one given, the current folder's, or the packaged one."""
-    if given is not None:
-        return given
-    here = Path("pipeline.yaml")
-    if here.is_file():
-        return here
-    root = Path(__file__).resolve().parent.parent
-    packaged = [path for path in (root / "stages" / "pipeline.yaml", root / "pipeline.yaml") if path.is_file()]
-    if not packaged:
-        raise RequestError("there is no pipeline.yaml here and none was installed; name one with --pipeline")
-    return packaged[0]
+    here = Path(name)
+    return given if given is not None else here if here.is_file() else ROOT / name
 
 
 def parse_frames(text: str | None) -> tuple[int, int] | None:
@@ -107,8 +100,8 @@ def parse_frames(text: str | None) -> tuple[int, int] | None:
 
 def override_items(given: Sequence[str], store: Store) -> "dict[str, Item]":
     """The items of --calibration KIND=FILE."""
-    from store import document
-    from store.calibration import KINDS, put_item, read_item
+    from lightstage.store import document
+    from lightstage.store.calibration import KINDS, put_item, read_item
 
     items = {}
     for text in given:
@@ -130,11 +123,11 @@ def plan_for(options: argparse.Namespace, store: Store, nodes: Sequence[str] = (
         nodes: which; none for all that a run computes unasked.
         made: also those that were asked for once and have a result.
     """
-    from dag.graph import load_graph
-    from dag.plan import bound_items, check_frames, make_plan
-    from stages import TABLE
-    from store.results import current
-    from store.sessions import read_session
+    from lightstage.dag.graph import load_graph
+    from lightstage.dag.plan import bound_items, check_frames, make_plan
+    from lightstage.stages import TABLE
+    from lightstage.store.results import current
+    from lightstage.store.sessions import read_session
 
     graph = load_graph(pipeline_path(options.pipeline), TABLE, overrides=getattr(options, "overrides", ()))
     session = read_session(options.session, store)
@@ -158,7 +151,7 @@ def handle_run(options: argparse.Namespace, screen: Screen) -> int:
 
 def run_session(options: argparse.Namespace, store: Store, screen: Screen, nodes: Sequence[str]) -> dict[str, Any]:
     """Run nodes for a session and say what was done; answers from one record when nothing has changed."""
-    from dag.recall import lasting, recall, remember, request_now
+    from lightstage.dag.recall import lasting, recall, remember, request_now
 
     if options.workers is not None and options.workers < 1:
         raise RequestError(f"--workers {options.workers}: at least one process is needed")
@@ -179,9 +172,9 @@ def run_session(options: argparse.Namespace, store: Store, screen: Screen, nodes
     if answer is not None:
         return _tell(answer, store, screen, {}, 0.0)
 
-    from dag.places import Where
-    from dag.run import run
-    from store.sessions import show_raw
+    from lightstage.dag.places import Where
+    from lightstage.dag.run import run
+    from lightstage.store.sessions import show_raw
 
     store.scratch.sweep()
     plan = plan_for(options, store, nodes)
@@ -271,7 +264,7 @@ def _tell(
 
 
 def _dry_run(options: argparse.Namespace, store: Store, screen: Screen) -> int:
-    from dag.plan import look_up
+    from lightstage.dag.plan import look_up
 
     state = look_up(plan_for(options, store, options.nodes), store, frames=parse_frames(options.frames))
     nodes, rows = {}, []
@@ -292,8 +285,8 @@ def _dry_run(options: argparse.Namespace, store: Store, screen: Screen) -> int:
 
 def handle_normals(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage normals."""
-    from cli.demo import demo_session
-    from cli.sheet import contact_sheet
+    from lightstage.cli.demo import demo_session
+    from lightstage.cli.sheet import contact_sheet
 
     store = Store(options.store)
     options.session = session_of(options.session, store, screen) if options.session else demo_session(store, screen)
@@ -306,9 +299,9 @@ def handle_normals(options: argparse.Namespace, screen: Screen) -> int:
 
 def handle_performance(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage performance."""
-    from cli.demo import moving_session
-    from cli.film import session_film
-    from store.sessions import read_session
+    from lightstage.cli.demo import moving_session
+    from lightstage.cli.film import session_film
+    from lightstage.store.sessions import read_session
 
     store = Store(options.store)
     options.session = (
@@ -329,7 +322,7 @@ def handle_performance(options: argparse.Namespace, screen: Screen) -> int:
 
 def _filmed(summary: Mapping[str, Any], options: argparse.Namespace) -> str:
     """The last node of a run that has a normal at every frame, or else the last at every tracking frame."""
-    from store.grid import open_dataset
+    from lightstage.store.grid import open_dataset
 
     for dim in ("frame", "tracking"):
         for name, node in reversed(summary["nodes"].items()):
@@ -358,8 +351,8 @@ def paths_of(summary: Mapping[str, Any], nodes: Sequence[str], session: str) -> 
 
 def session_of(given: str, store: Store, screen: Screen) -> str:
     """The session of that name, or the one that a capture folder becomes."""
-    from cli.sessions import import_folder
-    from store.sessions import session_names
+    from lightstage.cli.sessions import import_folder
+    from lightstage.store.sessions import session_names
 
     if given in session_names(store):
         return given

@@ -10,15 +10,15 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cli.figures import pyplot
-from cli.show import Screen
-from cli.values import number, whole
-from formats.whole_file import whole_file, write_whole
-from store.errors import RequestError
+from lightstage.cli.figures import pyplot
+from lightstage.cli.show import Screen
+from lightstage.cli.values import number, whole
+from lightstage.formats.whole_file import whole_file, write_whole
+from lightstage.store.errors import RequestError
 
 if TYPE_CHECKING:
-    from hw.pacing import Flicker, Timing
-    from hw.sequence import Exposure, TrackingFrame
+    from lightstage.hw.pacing import Flicker, Timing
+    from lightstage.hw.sequence import Exposure, TrackingFrame
 
 _SHOWN = 3
 """Views of flicker that a person is told of; --json has all."""
@@ -89,7 +89,7 @@ def _add_timing(parser: argparse.ArgumentParser) -> None:
 
 def handle_make(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage sequence static|multispectral|wilson|minimal."""
-    from hw import pacing, sequence
+    from lightstage.hw import pacing, sequence
 
     with _rig_errors():
         names: Sequence[str] = sequence.static()
@@ -137,7 +137,7 @@ def handle_make(options: argparse.Namespace, screen: Screen) -> int:
 
 def handle_check(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage sequence check."""
-    from hw import sequence
+    from lightstage.hw import sequence
 
     with _rig_errors():
         names, rate = _read(options.sequence)
@@ -174,7 +174,7 @@ def handle_check(options: argparse.Namespace, screen: Screen) -> int:
 
 def handle_count(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage sequence count."""
-    from hw.sequence import minimal, wilson
+    from lightstage.hw.sequence import minimal, wilson
 
     if not 1 <= options.upto <= _MOST:
         raise RequestError(f"--upto {options.upto}: a number of tracking frames from 1 to {_MOST} is needed")
@@ -198,7 +198,7 @@ def handle_count(options: argparse.Namespace, screen: Screen) -> int:
 
 @contextlib.contextmanager
 def _rig_errors() -> Iterator[None]:
-    from hw.errors import RigError
+    from lightstage.hw.errors import RigError
 
     try:
         yield
@@ -214,7 +214,7 @@ def _bands(text: str) -> tuple[int, ...]:
 
 def _timing(options: argparse.Namespace, rate_hz: float | None = None) -> "Timing | None":
     """From the options; else, when a capture says its frame rate, from that; else none."""
-    from hw.pacing import Timing
+    from lightstage.hw.pacing import Timing
 
     wheel = getattr(options, "wheel_ms", None)
     given = {"--setup-ms": options.setup_ms, "--readout-ms": options.readout_ms, "--wheel-ms": wheel}
@@ -237,8 +237,8 @@ def _timing(options: argparse.Namespace, rate_hz: float | None = None) -> "Timin
 
 def _flicker_or_note(cycle: Sequence[str], timing: "Timing | None", screen: Screen) -> "tuple[Flicker, ...]":
     """A capture of another rig may name lights that this one has not."""
-    from hw.errors import RigError
-    from hw.pacing import flicker
+    from lightstage.hw.errors import RigError
+    from lightstage.hw.pacing import flicker
 
     try:
         return () if timing is None else flicker(cycle, timing)
@@ -250,7 +250,7 @@ def _flicker_or_note(cycle: Sequence[str], timing: "Timing | None", screen: Scre
 def _rates(
     cycle: "Sequence[str | Exposure]", timing: "Timing | None", found: "Sequence[Flicker]"
 ) -> dict[str, Any]:
-    from hw.pacing import tracking_rate_hz
+    from lightstage.hw.pacing import tracking_rate_hz
 
     frame_rate = tracking_rate = None
     if timing is not None:
@@ -366,9 +366,9 @@ def _lacks(record: "TrackingFrame") -> str:
 
 def _read(words: Sequence[str]) -> tuple[tuple[str, ...], float | None]:
     """The illuminations in words or in a file, and the file's frame rate."""
-    from hw.sequence import parse
-    from store import document
-    from store.capture import Frame
+    from lightstage.hw.sequence import parse
+    from lightstage.store import document
+    from lightstage.store.capture import Frame
 
     path = Path(os.path.expanduser(words[0]))
     if len(words) > 1 or not os.path.exists(path) or re.fullmatch(r"C|[XYZ]c?|L[0-9]{1,6}|T[0-3]|O", words[0]):
@@ -389,7 +389,7 @@ def _read(words: Sequence[str]) -> tuple[tuple[str, ...], float | None]:
 
 def _plan_file(document: dict[str, Any], starts: Sequence[float] | None) -> str:
     """A part of capture.yaml, with the plan in comments above it, because a capture has no key for a plan."""
-    from store.document import text_of
+    from lightstage.store.document import text_of
 
     exposures = document.get("exposures", [])
     names = document["sequence"]

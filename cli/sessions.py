@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cli.show import Screen
-from store.errors import RequestError
-from store.files import human_size
-from store.root import Store
+from lightstage.cli.show import Screen
+from lightstage.store.errors import RequestError
+from lightstage.store.files import human_size
+from lightstage.store.root import Store
 
 if TYPE_CHECKING:
-    from store.importer import Imported
-    from store.sessions import Session
+    from lightstage.store.importer import Imported
+    from lightstage.store.sessions import Session
 
 
 def configure(commands: Any) -> None:
@@ -51,7 +51,7 @@ def import_folder(
     folder: Path | Sequence[Path], store: Store, screen: Screen, name: str | None = None
 ) -> "Imported":
     """Import, and say what came of it."""
-    from store.importer import import_capture
+    from lightstage.store.importer import import_capture
 
     done = import_capture(folder, store, name=name, progress=screen.progress)
     session = done.session
@@ -70,7 +70,7 @@ def import_folder(
 
 def handle_import(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage import."""
-    from store.capture import read_capture
+    from lightstage.store.capture import read_capture
 
     read_capture(options.folder)  # a typo in it must not even make a store
     store = Store(options.store)
@@ -129,7 +129,7 @@ def say_verdict(session: "Session", screen: Screen) -> None:
 
 def handle_list(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage sessions list."""
-    from store.sessions import read_session, session_names
+    from lightstage.store.sessions import read_session, session_names
 
     store = Store(options.store, create=False)
     sessions = [read_session(name, store) for name in session_names(store)]
@@ -151,7 +151,7 @@ def handle_list(options: argparse.Namespace, screen: Screen) -> int:
 
 def handle_show(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage sessions show."""
-    from store.sessions import read_session
+    from lightstage.store.sessions import read_session
 
     store = Store(options.store, create=False)
     session = read_session(options.session, store)
@@ -186,7 +186,7 @@ def handle_show(options: argparse.Namespace, screen: Screen) -> int:
 
 def handle_remove(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage sessions remove."""
-    from store.sessions import remove_session
+    from lightstage.store.sessions import remove_session
 
     store = Store(options.store, create=False)
     size = remove_session(options.session, store)
@@ -200,8 +200,8 @@ def handle_remove(options: argparse.Namespace, screen: Screen) -> int:
 
 def handle_items(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage calibration list."""
-    from store.calibration import all_items
-    from store.sessions import read_session, session_names
+    from lightstage.store.calibration import all_items
+    from lightstage.store.sessions import read_session, session_names
 
     store = Store(options.store, create=False)
     names = [options.session] if options.session else session_names(store)
@@ -239,7 +239,7 @@ def handle_items(options: argparse.Namespace, screen: Screen) -> int:
 
 def handle_item(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage calibration show."""
-    from store.calibration import find_item, original_of
+    from lightstage.store.calibration import find_item, original_of
 
     store = Store(options.store, create=False)
     item = find_item(options.item, store)
@@ -263,8 +263,8 @@ def handle_item(options: argparse.Namespace, screen: Screen) -> int:
 
 def handle_use(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage calibration use."""
-    from store.calibration import find_item, put_item, read_item
-    from store.sessions import bind_item, read_session
+    from lightstage.store.calibration import find_item, put_item, read_item
+    from lightstage.store.sessions import bind_item, read_session
 
     store = Store(options.store, create=False)
     session = read_session(options.session, store).name

@@ -4,12 +4,12 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from cli import mesh
-from cli.run import add_run_options, paths_of, run_session, session_of
-from cli.show import Screen
-from cli.values import whole
-from store.errors import RequestError
-from store.root import Store
+from lightstage.cli import mesh
+from lightstage.cli.run import add_run_options, paths_of, run_session, session_of
+from lightstage.cli.show import Screen
+from lightstage.cli.values import whole
+from lightstage.store.errors import RequestError
+from lightstage.store.root import Store
 
 NODES = ("shape", "reflectance")
 """The surface, and what it is painted with."""
@@ -33,9 +33,9 @@ def configure(commands: Any) -> None:
 
 def handle_shape(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage shape."""
-    from cli.demo import demo_session
-    from store.grid import open_dataset
-    from store.sessions import read_session
+    from lightstage.cli.demo import demo_session
+    from lightstage.store.grid import open_dataset
+    from lightstage.store.sessions import read_session
 
     if options.every < 1:
         raise RequestError(f"--every {options.every}: expected a step of 1 or more")

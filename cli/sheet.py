@@ -6,12 +6,12 @@ Constant picture, diffuse and specular component, normals as RGB, and the histog
 from pathlib import Path
 from typing import Any
 
-from cli.deliver import noted
-from cli.figures import pyplot
-from formats.whole_file import whole_file
-from store.errors import RequestError
-from store.results import current_path
-from store.root import Store
+from lightstage.cli.deliver import noted
+from lightstage.cli.figures import pyplot
+from lightstage.formats.whole_file import whole_file
+from lightstage.store.errors import RequestError
+from lightstage.store.results import current_path
+from lightstage.store.root import Store
 
 
 def contact_sheet(session: str, store: Store) -> Path:
@@ -36,8 +36,8 @@ def _draw(session: str, store: Store, path: Path) -> None:
     plt = pyplot()
     import numpy as np
 
-    from store.grid import open_dataset
-    from store.sessions import read_session
+    from lightstage.store.grid import open_dataset
+    from lightstage.store.sessions import read_session
 
     stack = open_dataset(current_path(session, "stack", store))
     normals = open_dataset(current_path(session, "normals", store))

@@ -1,13 +1,13 @@
 """skin: melanin and haemoglobin of a session on one page, and the spectra of picked points.
 
-The page shows the subject in colour (six bands to sRGB, `stages/colour.py`), melanin, haemoglobin, and the
-residual of the fit, each map on its own scale from 0 to what 99 % of the points stay below. The spectra are
+The page shows the subject in colour (six bands to sRGB, `kernels/appearance/colour.py`), melanin, haemoglobin, and
+the residual of the fit, each map on its own scale from 0 to what 99 % of the points stay below. The spectra are
 medians over a small square around each point, with the fit of the pigments and the standard error; `average` is
 the median over the subject.
 
 A spectrum's angle is that to the nearest spectrum which living skin can have by the layered model
-(`stages/skin_layers.py`), as vectors over the bands, so brightness does not count. Measured skins are within 7
-degrees.
+(`kernels/appearance/skin_layers.py`), as vectors over the bands, so brightness does not count. Measured skins are
+within 7 degrees.
 """
 
 import argparse
@@ -18,13 +18,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cli.figures import pyplot
-from cli.run import add_run_options, override_items, paths_of, run_session, session_of
-from cli.show import Screen
-from cli.values import whole
-from formats.whole_file import write_whole
-from store.errors import RequestError, WorkError
-from store.root import Store
+from lightstage.cli.figures import pyplot
+from lightstage.cli.run import add_run_options, override_items, paths_of, run_session, session_of
+from lightstage.cli.show import Screen
+from lightstage.cli.values import whole
+from lightstage.formats.whole_file import write_whole
+from lightstage.store.errors import RequestError, WorkError
+from lightstage.store.root import Store
 
 if TYPE_CHECKING:
     import numpy as np
@@ -90,7 +90,7 @@ class Point:
 
 def handle_skin(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage skin."""
-    from cli.demo import demo_session
+    from lightstage.cli.demo import demo_session
 
     points = [_point_of(text) for text in options.at]
     if len(points) > MOST_POINTS:
@@ -158,11 +158,11 @@ def read_skin(options: argparse.Namespace, store: Store, paths: Mapping[str, Pat
     """
     import numpy as np
 
-    from dag.plan import bound_items
-    from stages.absorption import pass_bands
-    from stages.chromophores import ChromophoresParams
-    from store.grid import open_dataset
-    from store.sessions import read_session
+    from lightstage.dag.plan import bound_items
+    from lightstage.kernels.appearance.absorption import pass_bands
+    from lightstage.stages.chromophores import ChromophoresParams
+    from lightstage.store.grid import open_dataset
+    from lightstage.store.sessions import read_session
 
     session = read_session(options.session, store)
     reflectance, pigments = (open_dataset(paths[node]) for node in NODES)
@@ -250,8 +250,8 @@ def _picked(skin: Skin, known: "NDArray[np.bool_]") -> dict[str, tuple[int, int]
 def _spectrum(skin: Skin, name: str, at: tuple[int, int] | None, where: "NDArray[np.bool_]") -> Point:
     import numpy as np
 
-    from stages.chromophores import chromophores, predicted
-    from stages.skin_layers import likeness
+    from lightstage.kernels.appearance.skin_layers import likeness
+    from lightstage.stages.chromophores import chromophores, predicted
 
     rho, error = (
         np.median(picture[:, where], axis=1, keepdims=True)[..., None]
@@ -277,7 +277,7 @@ def _draw_maps(skin: Skin, picked: Sequence[Point], path: Path) -> None:
     plt = pyplot()
     import numpy as np
 
-    from stages.colour import encode_srgb, linear_srgb_matrix
+    from lightstage.kernels.appearance.colour import encode_srgb, linear_srgb_matrix
 
     matrix = linear_srgb_matrix(skin.bands_nm, skin.widths_nm)
     colour = encode_srgb(np.moveaxis(np.tensordot(matrix, np.nan_to_num(skin.reflectance), 1), 0, 2))

@@ -7,19 +7,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cli.figures import pyplot
-from cli.run import add_run_options, pipeline_path, run_session, session_of
-from cli.show import Screen
-from cli.values import number
-from formats.whole_file import whole_file
-from store.errors import RequestError
-from store.root import Store
+from lightstage.cli.figures import pyplot
+from lightstage.cli.run import add_run_options, pipeline_path, run_session, session_of
+from lightstage.cli.show import Screen
+from lightstage.cli.values import number
+from lightstage.formats.whole_file import whole_file
+from lightstage.store.errors import RequestError
+from lightstage.store.root import Store
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from cli.face_points import Points
+    from lightstage.cli.face_points import Points
 
 KINDS = ("shape", "texture", "both")
 MATCHES = ("none", "mean-contrast", "histogram", "spectrum")
@@ -144,7 +144,7 @@ def handle_stimuli(options: argparse.Namespace, screen: Screen) -> int:
 
 
 def _check(options: argparse.Namespace) -> None:
-    from store.document import nearest
+    from lightstage.store.document import nearest
 
     for what, given, known in (("--match", options.match, MATCHES), ("--kinds", options.kinds, KINDS)):
         for word in given.split(","):
@@ -183,9 +183,9 @@ def _levels(text: str) -> list[float]:
 
 def _computed(name: str, options: argparse.Namespace, store: Store, screen: Screen) -> tuple[Any, Any, str]:
     """The stimulus result and the normals that it was made from, opened, and the result's folder."""
-    from dag.graph import load_graph
-    from stages import TABLE
-    from store.grid import open_dataset
+    from lightstage.dag.graph import load_graph
+    from lightstage.stages import TABLE
+    from lightstage.store.grid import open_dataset
 
     graph = load_graph(pipeline_path(options.pipeline), TABLE, overrides=options.overrides)
     node = graph.nodes.get(NODE)
@@ -207,7 +207,7 @@ def _points(
     opened: Mapping[str, tuple[Any, Any, str]], options: argparse.Namespace, screen: Screen
 ) -> "dict[str, tuple[Points, str]]":
     """Points in each picture, and how they were found."""
-    from cli.face_points import find_points, read_points
+    from lightstage.cli.face_points import find_points, read_points
 
     given = read_points(options.points, list(opened)) if options.points else {}
     found: dict[str, tuple[Points, str]] = {}
@@ -243,9 +243,9 @@ def _framed(
 
     import numpy as np
 
-    from cli.face_points import EYES
-    from stages.face_frame import Frame, bring, similarity, turned
-    from stages.flow_warp import unit
+    from lightstage.cli.face_points import EYES
+    from lightstage.kernels.faces.face_frame import Frame, bring, similarity, turned
+    from lightstage.kernels.motion.flow_warp import unit
 
     eyes = {name: np.stack([found[eye] for eye in EYES]) for name, (found, _) in points.items()}
     apart = [float(np.linalg.norm(pair[1] - pair[0])) for pair in eyes.values()]
@@ -292,8 +292,8 @@ def _morphed(
     """Pictures between two subjects: one property goes from A to B, the other stays A's."""
     import numpy as np
 
-    from stages.face_flow import between, mixed_normals, pulled
-    from stages.shading import parse_lights, shade
+    from lightstage.kernels.appearance.shading import parse_lights, shade
+    from lightstage.kernels.faces.face_flow import between, mixed_normals, pulled
 
     by_name = {subject.name: subject for subject in subjects}
     a, b = (by_name[name] for name in options.morph)
@@ -324,8 +324,8 @@ def _flow_between(a: Subject, b: Subject, sources: Mapping[str, Source], frame: 
     """From a to b; it leads through the points that somebody gave for both."""
     import numpy as np
 
-    from dag.stage import StageError
-    from stages.face_flow import face_flow, through_points
+    from lightstage.dag.stage import StageError
+    from lightstage.kernels.faces.face_flow import face_flow, through_points
 
     flow = face_flow(a.normal, b.normal, frame.oval(), frame.eyes_px)
     given = [sources[one.name] for one in (a, b)]
@@ -344,8 +344,8 @@ def _setting(
     """What `matching` needs: the setting, luminance (y, x), and colour as a multiple of it (y, x, rgb)."""
     import numpy as np
 
-    from stages.colour import decode_srgb, encode_srgb
-    from stages.matching import TOP, Encoding, Setting, grey_setting
+    from lightstage.kernels.appearance.colour import decode_srgb, encode_srgb
+    from lightstage.kernels.faces.matching import TOP, Encoding, Setting, grey_setting
 
     oval = frame.oval().astype(np.float64)
     linear = options.encoding == "linear"
@@ -387,11 +387,11 @@ def _written(
     """Match, write, and say what came out."""
     import numpy as np
 
-    from cli import stimulus_files as files
-    from cli.face_points import as_yaml
-    from dag.stage import StageError
-    from stages.matching import apart, match
-    from store.digest import SHORT, digest_value
+    from lightstage.cli import stimulus_files as files
+    from lightstage.cli.face_points import as_yaml
+    from lightstage.dag.stage import StageError
+    from lightstage.kernels.faces.matching import apart, match
+    from lightstage.store.digest import SHORT, digest_value
 
     kinds = options.kinds.split(",")
     entries = [(subject, kind) for kind in kinds for subject in subjects]
@@ -451,7 +451,7 @@ def _written(
 
 
 def _say_how_equal(off: Mapping[str, float], what: str, methods: Sequence[str], screen: Screen) -> None:
-    from stages.matching import PROMISED_LEVELS, PROMISED_SPECTRUM
+    from lightstage.kernels.faces.matching import PROMISED_LEVELS, PROMISED_SPECTRUM
 
     screen.say(
         f"{what}, largest difference between two, in grey levels: of luminance mean {off['mean_linear']:.2f}, "
@@ -496,8 +496,8 @@ def _preview(
     plt = pyplot()
     import numpy as np
 
-    from stages.colour import encode_srgb
-    from stages.shading import DistantLight, shade
+    from lightstage.kernels.appearance.colour import encode_srgb
+    from lightstage.kernels.appearance.shading import DistantLight, shade
 
     if options.to is not None and options.to.exists() and not options.to.is_dir():
         raise RequestError(f"--to {options.to}: is a file; name a folder")

@@ -22,9 +22,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from formats.png import encode_png
-from store.digest import SHORT, digest_value
-from store.errors import RequestError, WorkError
+from lightstage.formats.png import encode_png
+from lightstage.store.digest import SHORT, digest_value
+from lightstage.store.errors import RequestError, WorkError
 
 if TYPE_CHECKING:
     import numpy as np

@@ -37,7 +37,7 @@ def number(text: str) -> float:
 
 
 def _bounded(value: float, text: str) -> float:
-    from store.document import LARGEST
+    from lightstage.store.document import LARGEST
 
     if abs(value) > LARGEST:
         raise argparse.ArgumentTypeError(f"{text} is larger than {LARGEST:g}, which is the most")

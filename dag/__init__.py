@@ -15,6 +15,6 @@ explain.py      status and why: a plan held against what is in the store
 Importing it lets `sources` record what is imported from then on.
 """
 
-from dag.sources import record_imports
+from lightstage.dag.sources import record_imports
 
 record_imports()

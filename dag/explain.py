@@ -4,10 +4,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from dag.plan import NodeState, State
-from dag.publish import plain_parts, result_attrs
-from store.results import current, lacks, provenance
-from store.root import Store
+from lightstage.dag.plan import NodeState, State
+from lightstage.dag.publish import plain_parts, result_attrs
+from lightstage.store.results import current, lacks, provenance
+from lightstage.store.root import Store
 
 Condition = Literal["fresh", "stale", "partial", "missing"]
 

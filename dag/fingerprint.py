@@ -11,9 +11,9 @@ A key is the digest (xxh3, 128 bits) of canonical JSON. From the outside in:
 **engine** is ENGINE below, raised by hand when the engine hands something else to kernels than before.
 
 **code** is the syntax tree of the stage's module and of every module of ours that it imports, directly or
-through others, without docstrings, comments, formatting and type annotations; not `dag`, whose contract
-cannot change numbers. Helpers count, so an edited helper cannot serve stale results. A module counts as this
-process has executed it (`sources`), not as its file stands.
+through others, without docstrings, comments, formatting and type annotations; not `dag` and `store`, whose
+contract cannot change numbers. Helpers count, so an edited helper cannot serve stale results. A module counts
+as this process has executed it (`sources`), not as its file stands.
 
 **parameters** are the validated ones with their defaults, so writing a default out changes nothing.
 
@@ -43,9 +43,10 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from dag.sources import generation, source
-from dag.stage import CalibrationPicture, Params, Stage
-from store.digest import digest_bytes, digest_value
+from lightstage.dag.sources import ENGINE as ENGINE_PACKAGES
+from lightstage.dag.sources import PACKAGE, generation, source
+from lightstage.dag.stage import CalibrationPicture, Params, Stage
+from lightstage.store.digest import digest_bytes, digest_value
 
 ENGINE = 1
 
@@ -63,8 +64,8 @@ NUMERIC: Mapping[str, str] = {
 SILENT = frozenset({"pydantic", "yaml"})
 """Libraries that a stage may import and that decide none."""
 
-_GEOMETRY = ("hw",)
-"""Packages beside the stages' own whose modules a stage may call: the rig's geometry."""
+_ENGINE = tuple(f"{PACKAGE}.{name}." for name in ENGINE_PACKAGES)
+"""What a stage imports of these is its contract, which cannot change numbers."""
 
 _ANNOTATIONS = {"annotation", "returns", "type_comment", "type_params"}
 
@@ -135,9 +136,7 @@ def module_libraries(name: str) -> Mapping[str, str]:
     used = set()
     for module in module_code(name):
         imported = {found.split(".")[0] for found in _imports_of(module)}
-        strange = (
-            imported - {module.split(".")[0], *_GEOMETRY, "dag"} - SILENT - sys.stdlib_module_names - set(NUMERIC)
-        )
+        strange = imported - {module.split(".")[0], PACKAGE} - SILENT - sys.stdlib_module_names - set(NUMERIC)
         if strange:
             raise ModuleNotFoundError(
                 f"{module} imports {', '.join(sorted(strange))}, which is neither in NUMERIC nor in SILENT of "
@@ -156,11 +155,16 @@ def _closure(module: str, found: dict[str, str]) -> dict[str, str]:
     if module in found:
         return found
     found[module] = _code_digest(source(module))
-    ours = {module.split(".")[0], *_GEOMETRY}
     for imported in _imports_of(module):
-        if imported.split(".")[0] in ours and "." in imported:
+        if _counts(imported, module):
             _closure(imported, found)
     return found
+
+
+def _counts(name: str, importer: str) -> bool:
+    """Whether a module is ours, or of the importer's package, and not the engine's."""
+    top, _, below = name.partition(".")
+    return top in (PACKAGE, importer.partition(".")[0]) and below != "" and not name.startswith(_ENGINE)
 
 
 @functools.cache
@@ -194,7 +198,7 @@ def _imports(tree: ast.AST, module: str) -> Iterable[str]:
 
 @functools.cache
 def _is_module(name: str, importer: str) -> bool:
-    if name.split(".")[0] not in (importer.split(".")[0], *_GEOMETRY):
+    if name.split(".")[0] not in (importer.split(".")[0], PACKAGE):
         return False
     try:
         return importlib.util.find_spec(name) is not None

@@ -12,12 +12,12 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from dag.stage import Params, Stage
-from store import document
-from store.capture import NAME_RULE
-from store.capture import SESSION_NAME as NAME
-from store.document import Document, nearest
-from store.errors import MOST_PROBLEMS, RequestError, raise_all
+from lightstage.dag.stage import Params, Stage
+from lightstage.store import document
+from lightstage.store.capture import NAME_RULE
+from lightstage.store.capture import SESSION_NAME as NAME
+from lightstage.store.document import Document, nearest
+from lightstage.store.errors import MOST_PROBLEMS, RequestError, raise_all
 
 
 class _NodeEntry(BaseModel):

@@ -24,8 +24,8 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 from typing import Any, NoReturn
 
-from store.errors import LightstageError, RequestError, WorkError
-from store.records import BlockRecord
+from lightstage.store.errors import LightstageError, RequestError, WorkError
+from lightstage.store.records import BlockRecord
 
 OnDone = Callable[[Any, BlockRecord], None]
 

@@ -10,18 +10,18 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
-from dag.fingerprint import block_key, plain_context, recipe, stage_parts
-from dag.graph import Graph, Node
-from dag.recall import Request, item_digest
-from dag.stage import Arrangement, CalibrationPicture, Grid, Group, StageError
-from store.calibration import Item, StoredPicture, get_item, not_valid_for
-from store.chunks import ChunkIndex, ChunkRef
-from store.digest import SHORT, digest_value
-from store.errors import RequestError, raise_all
-from store.grid import ArrayTemplate, Coordinate
-from store.records import BlockRecord
-from store.root import Store
-from store.sessions import Session
+from lightstage.dag.fingerprint import block_key, plain_context, recipe, stage_parts
+from lightstage.dag.graph import Graph, Node
+from lightstage.dag.recall import Request, item_digest
+from lightstage.dag.stage import Arrangement, CalibrationPicture, Grid, Group, StageError
+from lightstage.store.calibration import Item, StoredPicture, get_item, not_valid_for
+from lightstage.store.chunks import ChunkIndex, ChunkRef
+from lightstage.store.digest import SHORT, digest_value
+from lightstage.store.errors import RequestError, raise_all
+from lightstage.store.grid import ArrayTemplate, Coordinate
+from lightstage.store.records import BlockRecord
+from lightstage.store.root import Store
+from lightstage.store.sessions import Session
 
 
 @dataclass(frozen=True)

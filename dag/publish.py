@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from dag.fingerprint import plain_context
-from dag.plan import NodePlan, NodeState, State
-from store.chunks import ChunkRef
-from store.errors import WorkError
-from store.notes import chunk_file
-from store.results import ResultName, current, publish, set_current
-from store.root import Store
+from lightstage.dag.fingerprint import plain_context
+from lightstage.dag.plan import NodePlan, NodeState, State
+from lightstage.store.chunks import ChunkRef
+from lightstage.store.errors import WorkError
+from lightstage.store.notes import chunk_file
+from lightstage.store.results import ResultName, current, publish, set_current
+from lightstage.store.root import Store
 
 
 @dataclass(frozen=True)

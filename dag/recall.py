@@ -16,10 +16,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeGuard
 
-from dag.sources import Sources, outdated, read_sources
-from store.digest import SHORT, digest_bytes, digest_value
-from store.results import ResultName, set_current
-from store.root import Store
+from lightstage.dag.sources import Sources, outdated, read_sources
+from lightstage.store.digest import SHORT, digest_bytes, digest_value
+from lightstage.store.results import ResultName, set_current
+from lightstage.store.root import Store
 
 _SAID = ("method", "engine", "note", "cannot_be_made", "distance_mm", "distance_found", "warnings")
 """What of a result's attributes a run tells."""

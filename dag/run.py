@@ -11,15 +11,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
-from dag.places import LostWorkersError, Where, compute
-from dag.plan import Plan, State, look_up
-from dag.publish import NodeResult, publish_results
-from dag.stage import StageError
-from dag.task import BlockTask, check_store, execute, lend, prepare
-from store.errors import DamagedChunkError, RequestError, WorkError
-from store.records import BlockRecord
-from store.root import Store
-from store.verify import verify
+from lightstage.dag.places import LostWorkersError, Where, compute
+from lightstage.dag.plan import Plan, State, look_up
+from lightstage.dag.publish import NodeResult, publish_results
+from lightstage.dag.stage import StageError
+from lightstage.dag.task import BlockTask, check_store, execute, lend, prepare
+from lightstage.store.errors import DamagedChunkError, RequestError, WorkError
+from lightstage.store.records import BlockRecord
+from lightstage.store.root import Store
+from lightstage.store.verify import verify
 
 
 class Watcher(Protocol):

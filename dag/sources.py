@@ -1,6 +1,6 @@
 """Our own source files: which there are, what they hold, and what this process has executed of them.
 
-Which packages and files are ours follows from the folders themselves. What a module does in this process is
+Which files are ours follows from the package's folder itself. What a module does in this process is
 decided by the text that it was executed from, not by the file as it stands now: a worker lives on while somebody
 edits, and a command may have been started just before. So every module of ours is recorded as it is imported, and
 that record is what keys are made from.
@@ -20,21 +20,13 @@ from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from pathlib import Path
 from types import CodeType, ModuleType
 
-from store.digest import digest_bytes, digest_value
+from lightstage.store.digest import digest_bytes, digest_value
 
-ROOT = Path(__file__).resolve().parent.parent
+PACKAGE = __name__.partition(".")[0]
+ROOT = Path(__file__).parent.parent
+"""The package's folder: in a checkout one of links to the folders at the top of the repository."""
 ENGINE = ("dag", "store")
 """What hands data to kernels and takes it back, wherever they run."""
-
-
-def packages(root: Path = ROOT) -> list[str]:
-    """Our packages: what the installed distribution brought, or every package beside this one in a checkout."""
-    for folder in root.glob("lightstage-*.dist-info"):
-        lines = (folder / "RECORD").read_text(encoding="utf-8").splitlines()
-        brought = {line.split("/")[0] for line in lines if line.partition(",")[0].endswith("/__init__.py")}
-        if Path(__file__).parent.name in brought:
-            return sorted(brought)
-    return sorted(path.parent.name for path in root.glob("*/__init__.py"))
 
 
 @dataclass(frozen=True)
@@ -52,14 +44,13 @@ class Sources:
 
 
 def read_sources(root: Path = ROOT) -> Sources:
-    """Every file of every package, in all folders; data files too, and of Python's own only what is compiled."""
+    """Every file below a folder, in all folders; data files too, and of Python's own only what is compiled."""
     digests, stamps = {}, []
-    for package in packages(root):
-        for path in _files(root / package, ()):
-            with open(path, "rb") as file:
-                found = os.fstat(file.fileno())
-                digests[os.path.relpath(path, root)] = digest_bytes(file.read())
-            stamps.append((found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns))
+    for path in _files(root, ()):
+        with open(path, "rb") as file:
+            found = os.fstat(file.fileno())
+            digests[os.path.relpath(path, root)] = digest_bytes(file.read())
+        stamps.append((found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns))
     return Sources(digests, tuple(stamps))
 
 
@@ -110,7 +101,7 @@ def outdated(sources: Sources) -> list[str]:
 
 
 def _file(module: str) -> str:
-    path = module.replace(".", "/")
+    path = module.removeprefix(f"{PACKAGE}.").replace(".", "/")
     return f"{path}/__init__.py" if hasattr(sys.modules.get(module), "__path__") else f"{path}.py"
 
 
@@ -126,7 +117,7 @@ def _engine(_generation: int) -> str:
         for path in _files(ROOT / package, ()):
             name = os.path.relpath(path, ROOT)
             module = name.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
-            found = _executed.get(module)
+            found = _executed.get(f"{PACKAGE}.{module}")
             texts[name] = digest_bytes(Path(path).read_bytes() if found is None else found)
     return digest_value(texts)
 
@@ -170,14 +161,12 @@ def _compiled_since(path: str) -> bool:
 class _Finder:
     """Finds modules of ours where Python would."""
 
-    ours = frozenset(packages())
-
     @classmethod
     def find_spec(
         cls, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
         """The usual finder's answer, with the loader that records."""
-        if name.partition(".")[0] not in cls.ours:
+        if name.partition(".")[0] != PACKAGE:
             return None
         spec = PathFinder.find_spec(name, path, target)
         if spec is not None and type(spec.loader) is SourceFileLoader:
@@ -193,9 +182,5 @@ def record_imports() -> None:
     sys.meta_path.insert(sys.meta_path.index(PathFinder), _Finder)
     for module in list(sys.modules.values()):
         spec = getattr(module, "__spec__", None)
-        if (
-            spec is not None
-            and spec.name.partition(".")[0] in _Finder.ours
-            and type(spec.loader) is SourceFileLoader
-        ):
+        if spec is not None and spec.name.partition(".")[0] == PACKAGE and type(spec.loader) is SourceFileLoader:
             _record(spec.name, Path(spec.loader.path).read_bytes())

@@ -22,16 +22,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dag.fingerprint import block_key, stage_parts
-from dag.plan import NodePlan, Piece
-from dag.sources import engine, generation
-from dag.stage import Stage, StageError
-from hw.compiled import offer
-from store.chunks import ChunkRef
-from store.digest import digest_value
-from store.errors import WorkError
-from store.records import BlockRecord
-from store.root import Store
+from lightstage.compiled import offer
+from lightstage.dag.fingerprint import block_key, stage_parts
+from lightstage.dag.plan import NodePlan, Piece
+from lightstage.dag.sources import engine, generation
+from lightstage.dag.stage import Stage, StageError
+from lightstage.store.chunks import ChunkRef
+from lightstage.store.digest import digest_value
+from lightstage.store.errors import WorkError
+from lightstage.store.records import BlockRecord
+from lightstage.store.root import Store
 
 
 class BlockTask:

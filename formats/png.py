@@ -10,7 +10,7 @@ import struct
 import zlib
 from typing import TYPE_CHECKING, Any, Literal
 
-from formats.exr import REC709
+from lightstage.formats.exr import REC709
 
 if TYPE_CHECKING:
     import numpy as np

@@ -11,10 +11,4 @@ Imports nothing of ours outside itself.
     motion.py        how the head turns, shifts and talks
     sensor.py        the cameras: response, dark, noise, bits
     virtual_rig.py   all of it together: a capture folder with ground truth
-    compiled.py      where compiled code is kept, the rig's and the stages'
-    home.py          what is kept out of the user's home
 """
-
-from hw.compiled import keep
-
-keep()

@@ -11,12 +11,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hw import target_scenes as scenes
-from hw.capture_folder import Exposure, written
-from hw.errors import RigError
-from hw.gradients import weights
-from hw.sensor import OFFSET, WHITE
-from hw.virtual_rig import CAMERA_MM, RADIUS_MM, Rig, Shot
+from lightstage.hw import target_scenes as scenes
+from lightstage.hw.capture_folder import Exposure, written
+from lightstage.hw.errors import RigError
+from lightstage.hw.gradients import weights
+from lightstage.hw.sensor import OFFSET, WHITE
+from lightstage.hw.virtual_rig import CAMERA_MM, RADIUS_MM, Rig, Shot
 
 BALL_MM = 38.1
 ROOM = 2.0

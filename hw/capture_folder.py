@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hw.folder import appearing, dump, save
-from hw.sensor import BITS, STORED_SCALE
-from hw.virtual_rig import CAMERA_MM, Rig, Shot
+from lightstage.hw.folder import appearing, dump, save
+from lightstage.hw.sensor import BITS, STORED_SCALE
+from lightstage.hw.virtual_rig import CAMERA_MM, Rig, Shot
 
 Array = NDArray[np.float64]
 Exposure = tuple[dict[str, Any], Mapping[tuple[int, int], Array]]

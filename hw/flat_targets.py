@@ -12,12 +12,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hw import color_checker
-from hw import target_scenes as scenes
-from hw.capture_folder import Exposure, written
-from hw.errors import RigError
-from hw.sensor import FLAT_LEVEL, OFFSET, WHITE
-from hw.virtual_rig import CAMERA_MM, Rig, Shot
+from lightstage.hw import color_checker
+from lightstage.hw import target_scenes as scenes
+from lightstage.hw.capture_folder import Exposure, written
+from lightstage.hw.errors import RigError
+from lightstage.hw.sensor import FLAT_LEVEL, OFFSET, WHITE
+from lightstage.hw.virtual_rig import CAMERA_MM, Rig, Shot
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from hw.errors import RigError
+from lightstage.hw.errors import RigError
 
 
 def appearing(folder: Path, what: dict[str, Any], write: Callable[[Path], None]) -> Path:

@@ -9,7 +9,7 @@ from collections.abc import Collection
 import numpy as np
 from numpy.typing import NDArray
 
-from hw.errors import RigError
+from lightstage.hw.errors import RigError
 
 
 def icosahedron() -> tuple[NDArray[np.float64], NDArray[np.int64]]:

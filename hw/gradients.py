@@ -9,7 +9,7 @@ import re
 import numpy as np
 from numpy.typing import NDArray
 
-from hw.errors import RigError
+from lightstage.hw.errors import RigError
 
 FULL = 4095
 

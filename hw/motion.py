@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hw.errors import RigError
+from lightstage.hw.errors import RigError
 
 Array = NDArray[np.float64]
 _CHANNELS: dict[str, tuple[tuple[float, float, float], ...]] = {

@@ -37,10 +37,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from hw.errors import RigError
-from hw.geodesic import light_positions
-from hw.gradients import weights
-from hw.sequence import Exposure
+from lightstage.hw.errors import RigError
+from lightstage.hw.geodesic import light_positions
+from lightstage.hw.gradients import weights
+from lightstage.hw.sequence import Exposure
 
 LOWEST_HZ = 3.0
 HIGHEST_HZ = 30.0

@@ -27,7 +27,7 @@ from dataclasses import dataclass
 from itertools import permutations, product
 from typing import Literal, NamedTuple
 
-from hw.errors import RigError
+from lightstage.hw.errors import RigError
 
 AXES = ("X", "Y", "Z")
 GRADIENTS = ("X", "Y", "Z", "Xc", "Yc", "Zc")

@@ -20,15 +20,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hw import head, motion, skin
-from hw.errors import RigError
-from hw.folder import appearing, dump, save
-from hw.geodesic import light_positions
-from hw.gradients import weights
-from hw.motion import Pose
-from hw.sensor import BITS, OFFSET, STORED_SCALE, WHITE, Sensor
-from hw.sequence import static
-from hw.target_scenes import project
+from lightstage.hw import head, motion, skin
+from lightstage.hw.errors import RigError
+from lightstage.hw.folder import appearing, dump, save
+from lightstage.hw.geodesic import light_positions
+from lightstage.hw.gradients import weights
+from lightstage.hw.motion import Pose
+from lightstage.hw.sensor import BITS, OFFSET, STORED_SCALE, WHITE, Sensor
+from lightstage.hw.sequence import static
+from lightstage.hw.target_scenes import project
 
 RADIUS_MM = 790.0
 CAMERA_MM = 890.0

@@ -40,27 +40,21 @@ that a stage calls; they count in its key.
 
 from collections.abc import Mapping
 
-from hw.compiled import keep
-from hw.home import spare_home
-
-keep()
-spare_home()
-
 TABLE: Mapping[str, str] = {
-    "capture": "stages.capture",
-    "register": "stages.register",
-    "split": "stages.split",
-    "stack": "stages.stack",
-    "align": "stages.align",
-    "normals": "stages.normals",
-    "upsample": "stages.upsample",
-    "reflectance": "stages.reflectance",
-    "shape": "stages.shape",
-    "stimulus": "stages.stimulus",
-    "chromophores": "stages.chromophores",
-    "gloss": "stages.gloss",
+    "capture": "lightstage.stages.capture",
+    "register": "lightstage.stages.register",
+    "split": "lightstage.stages.split",
+    "stack": "lightstage.stages.stack",
+    "align": "lightstage.stages.align",
+    "normals": "lightstage.stages.normals",
+    "upsample": "lightstage.stages.upsample",
+    "reflectance": "lightstage.stages.reflectance",
+    "shape": "lightstage.stages.shape",
+    "stimulus": "lightstage.stages.stimulus",
+    "chromophores": "lightstage.stages.chromophores",
+    "gloss": "lightstage.stages.gloss",
     **{
-        name: f"stages.calibration.{name}"
+        name: f"lightstage.stages.calibration.{name}"
         for name in (
             "outline",
             "highlights",

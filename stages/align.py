@@ -44,11 +44,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dag.stage import Arrangement, Grid, Group, Input, Items, Output, Params, Stage, StageError
-from stages import band_alignment, blurs, joint_flow, picture_flow
-from stages.band_fusion import noise_model
-from stages.flow_warp import invert, warp
-from stages.picture_sets import Window, chosen_sets, pairs, picture_times, windows
+from lightstage.dag.stage import Arrangement, Grid, Group, Input, Items, Output, Params, Stage, StageError
+from lightstage.kernels.motion import band_alignment, joint_flow, picture_flow
+from lightstage.kernels.motion.flow_warp import invert, warp
+from lightstage.kernels.pictures import blurs
+from lightstage.kernels.pictures.band_fusion import noise_model
+from lightstage.kernels.pictures.picture_sets import Window, chosen_sets, pairs, picture_times, windows
 
 Image = NDArray[np.float32]
 Bands = Literal["none", "auto", "specular", "relief", "gradient"]

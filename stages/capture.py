@@ -6,7 +6,7 @@ The source of every pipeline. It computes nothing: its blocks are the session's 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from dag.stage import Arrangement, Grid, Output, Params, Stage
+from lightstage.dag.stage import Arrangement, Grid, Output, Params, Stage
 
 
 class CaptureParams(Params):

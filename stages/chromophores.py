@@ -43,8 +43,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dag.stage import Arrangement, Grid, Input, Items, Needs, Output, Params, Stage, StageError
-from stages import absorption, skin_layers
+from lightstage.dag.stage import Arrangement, Grid, Input, Items, Needs, Output, Params, Stage, StageError
+from lightstage.kernels.appearance import absorption, skin_layers
 
 Image = NDArray[np.float32]
 Array = NDArray[np.float64]

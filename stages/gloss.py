@@ -42,10 +42,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dag.stage import Arrangement, Grid, Group, Input, Items, Needs, Output, Params, Stage, StageError
-from stages.microfacets import at_normal_incidence, response, shines, sphere_response
-from stages.near_light import Lights, binned
-from stages.pinhole import Pinhole
+from lightstage.dag.stage import Arrangement, Grid, Group, Input, Items, Needs, Output, Params, Stage, StageError
+from lightstage.kernels.appearance.microfacets import at_normal_incidence, response, shines, sphere_response
+from lightstage.kernels.normals.near_light import Lights, binned
+from lightstage.kernels.surface.pinhole import Pinhole
 
 Image = NDArray[np.float32]
 Array = NDArray[np.float64]

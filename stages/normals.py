@@ -26,13 +26,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dag.stage import Arrangement, Grid, Group, Input, Items, Needs, Output, Params, Stage, StageError
-from stages import one_light, rig_normals, spherical_gradients
-from stages.band_fusion import fuse as fuse_bands
-from stages.normal_filter import non_local_means
-from stages.picture_sets import Choice, Window, choose, chosen_sets, windows
-from stages.rig_normals import RIG_MODELS, VISIBILITY_STEPS
-from stages.spherical_gradients import FILL, STEPS, table
+from lightstage.dag.stage import Arrangement, Grid, Group, Input, Items, Needs, Output, Params, Stage, StageError
+from lightstage.kernels.normals import one_light, rig_normals, spherical_gradients
+from lightstage.kernels.normals.normal_filter import non_local_means
+from lightstage.kernels.normals.rig_normals import RIG_MODELS, VISIBILITY_STEPS
+from lightstage.kernels.normals.spherical_gradients import FILL, STEPS, table
+from lightstage.kernels.pictures.band_fusion import fuse as fuse_bands
+from lightstage.kernels.pictures.picture_sets import Choice, Window, choose, chosen_sets, windows
 
 
 class NormalsParams(Params):

@@ -29,11 +29,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dag.stage import Arrangement, Grid, Group, Input, Items, Needs, Output, Params, Stage, StageError
-from stages.band_fusion import noise_model
-from stages.interreflection import Tiles
-from stages.pinhole import Pinhole
-from stages.subject_mask import find_subject
+from lightstage.dag.stage import Arrangement, Grid, Group, Input, Items, Needs, Output, Params, Stage, StageError
+from lightstage.kernels.pictures.band_fusion import noise_model
+from lightstage.kernels.pictures.subject_mask import find_subject
+from lightstage.kernels.surface.interreflection import Tiles
+from lightstage.kernels.surface.pinhole import Pinhole
 
 Image = NDArray[np.float32]
 _DARK = 0.1

@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dag.stage import Arrangement, Grid, Input, Items, Needs, Output, Params, Stage, StageError
-from stages.resampling import STEP, correct, reorient, undone_shape, view_fraction, warp
+from lightstage.dag.stage import Arrangement, Grid, Input, Items, Needs, Output, Params, Stage, StageError
+from lightstage.kernels.pictures.resampling import STEP, correct, reorient, undone_shape, view_fraction, warp
 
 _BRIGHTEST_DARK = 0.9
 """Of the white level: with less than a tenth of the range left nothing can be measured."""

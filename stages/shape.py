@@ -29,7 +29,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dag.stage import (
+from lightstage.dag.stage import (
     Arrangement,
     CalibrationPicture,
     Grid,
@@ -42,9 +42,9 @@ from dag.stage import (
     Stage,
     StageError,
 )
-from stages.integration import integrate
-from stages.pinhole import Pinhole
-from stages.subject_mask import find_subject, lit
+from lightstage.kernels.pictures.subject_mask import find_subject, lit
+from lightstage.kernels.surface.integration import integrate
+from lightstage.kernels.surface.pinhole import Pinhole
 
 Image = NDArray[np.float32]
 _LEAST_PX = 64

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dag.stage import Arrangement, Grid, Input, Items, Output, Params, Stage
+from lightstage.dag.stage import Arrangement, Grid, Input, Items, Output, Params, Stage
 
 
 class SplitParams(Params):

@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from dag.stage import Arrangement, Grid, Group, Input, Items, Needs, Output, Params, Stage, StageError
+from lightstage.dag.stage import Arrangement, Grid, Group, Input, Items, Needs, Output, Params, Stage, StageError
 
 KEPT_BITS = 16
 """Of the mantissa's 23: a relative step of 1.5e-5, as fine at 256 counts as the counts that it is made of (Kloewer

@@ -26,11 +26,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
-from dag.stage import Arrangement, Grid, Group, Input, Items, Needs, Output, Params, Stage, StageError
-from stages.colour import linear_srgb_matrix, xyz_matrix
-from stages.pinhole import Pinhole
-from stages.shading import cast_shadows as shadows_of
-from stages.shading import parse_lights, shade
+from lightstage.dag.stage import Arrangement, Grid, Group, Input, Items, Needs, Output, Params, Stage, StageError
+from lightstage.kernels.appearance.colour import linear_srgb_matrix, xyz_matrix
+from lightstage.kernels.appearance.shading import cast_shadows as shadows_of
+from lightstage.kernels.appearance.shading import parse_lights, shade
+from lightstage.kernels.surface.pinhole import Pinhole
 
 Image = NDArray[np.float32]
 KINDS = ("shape", "texture", "both")

@@ -25,13 +25,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dag.stage import Arrangement, Grid, Group, Input, Items, Output, Params, Stage, StageError
-from stages.flow_warp import Interpolation, unit
-from stages.in_between import Side, blend, carry, nearness
-from stages.joint_flow import subject_of
-from stages.picture_sets import picture_times
-from stages.rig_normals import quantised
-from stages.spherical_gradients import FILL, STEPS
+from lightstage.dag.stage import Arrangement, Grid, Group, Input, Items, Output, Params, Stage, StageError
+from lightstage.kernels.motion.flow_warp import Interpolation, unit
+from lightstage.kernels.motion.in_between import Side, blend, carry, nearness
+from lightstage.kernels.motion.joint_flow import subject_of
+from lightstage.kernels.normals.rig_normals import quantised
+from lightstage.kernels.normals.spherical_gradients import FILL, STEPS
+from lightstage.kernels.pictures.picture_sets import picture_times
 
 Image = NDArray[np.float32]
 

@@ -20,16 +20,16 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from store import document
-from store.capture import Date
-from store.chunks import ChunkRef, Chunks
-from store.digest import SHORT, digest_value
-from store.errors import DamagedFileError, RequestError
-from store.files import renewed, replace
-from store.intake import FileError, read_regular
-from store.picture import LARGEST_FILE, PictureError, decode
-from store.root import Store
-from store.sealed import seal, unseal
+from lightstage.store import document
+from lightstage.store.capture import Date
+from lightstage.store.chunks import ChunkRef, Chunks
+from lightstage.store.digest import SHORT, digest_value
+from lightstage.store.errors import DamagedFileError, RequestError
+from lightstage.store.files import renewed, replace
+from lightstage.store.intake import FileError, read_regular
+from lightstage.store.picture import LARGEST_FILE, PictureError, decode
+from lightstage.store.root import Store
+from lightstage.store.sealed import seal, unseal
 
 Vector = tuple[float, float, float]
 Matrix = tuple[Vector, Vector, Vector]

@@ -17,9 +17,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
-from store import document
-from store.errors import RequestError, raise_all
-from store.picture import EXTENSIONS, Picture, PictureError, declared, decode, linear_from_srgb
+from lightstage.store import document
+from lightstage.store.errors import RequestError, raise_all
+from lightstage.store.picture import EXTENSIONS, Picture, PictureError, declared, decode, linear_from_srgb
 
 ILLUMINATION = re.compile(r"C|[XYZ]c?|L[0-9]{1,6}|T[0-3]|O")
 SESSION_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")

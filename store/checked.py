@@ -14,8 +14,8 @@ from zarr.abc.store import ByteRequest, OffsetByteRequest, RangeByteRequest, Suf
 from zarr.core.buffer import Buffer, BufferPrototype, default_buffer_prototype
 from zarr.storage import LocalStore
 
-from store.digest import digest_bytes
-from store.errors import DamagedGroupError
+from lightstage.store.digest import digest_bytes
+from lightstage.store.errors import DamagedGroupError
 
 
 class CheckedStore(LocalStore):

@@ -17,9 +17,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
 
-from store.digest import digest_array, digest_bytes
-from store.errors import DamagedChunkError, WorkError
-from store.files import Flusher, Scratch, disk_faults_named, put_if_absent, renewed, replace
+from lightstage.store.digest import digest_array, digest_bytes
+from lightstage.store.errors import DamagedChunkError, WorkError
+from lightstage.store.files import Flusher, Scratch, disk_faults_named, put_if_absent, renewed, replace
 
 if TYPE_CHECKING:
     import numpy as np

@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, Union, get_a
 
 import yaml
 
-from store.digest import digest_bytes
-from store.errors import MOST_PROBLEMS, RequestError, raise_all
-from store.intake import FileError, read_regular
+from lightstage.store.digest import digest_bytes
+from lightstage.store.errors import MOST_PROBLEMS, RequestError, raise_all
+from lightstage.store.intake import FileError, read_regular
 
 if TYPE_CHECKING:
     from pydantic import BaseModel, ValidationError

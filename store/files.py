@@ -23,9 +23,9 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
-from store.digest import digest_value
-from store.errors import WorkError
-from store.marker import NAME, Marker, gone
+from lightstage.store.digest import digest_value
+from lightstage.store.errors import WorkError
+from lightstage.store.marker import NAME, Marker, gone
 
 _counter = itertools.count()
 NO_LINKS = (errno.EPERM, errno.EXDEV, errno.ENOSYS, errno.ENOTSUP, errno.EINVAL, errno.EMLINK)

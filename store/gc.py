@@ -18,16 +18,16 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from store.calibration import all_items
-from store.digest import SHORT
-from store.errors import DamagedFileError
-from store.files import delete, disk_faults_named, files_below, put_back
-from store.marker import NAME, gone
-from store.notes import note_path
-from store.records import KINDS, blobs_named
-from store.results import current, provenance
-from store.root import Store
-from store.sessions import Session, raw_group, read_session
+from lightstage.store.calibration import all_items
+from lightstage.store.digest import SHORT
+from lightstage.store.errors import DamagedFileError
+from lightstage.store.files import delete, disk_faults_named, files_below, put_back
+from lightstage.store.marker import NAME, gone
+from lightstage.store.notes import note_path
+from lightstage.store.records import KINDS, blobs_named
+from lightstage.store.results import current, provenance
+from lightstage.store.root import Store
+from lightstage.store.sessions import Session, raw_group, read_session
 
 
 @dataclass

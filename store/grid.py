@@ -10,10 +10,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from store.chunks import ChunkIndex, ChunkRef, Chunks, shuffle_for
-from store.errors import DamagedChunkError, DamagedFileError, DamagedGroupError
-from store.files import link_or_copy
-from store.notes import chunk_file, read_note
+from lightstage.store.chunks import ChunkIndex, ChunkRef, Chunks, shuffle_for
+from lightstage.store.errors import DamagedChunkError, DamagedFileError, DamagedGroupError
+from lightstage.store.files import link_or_copy
+from lightstage.store.notes import chunk_file, read_note
 
 FLAT: Any = {"name": "default", "separator": "."}
 """How chunk files are named (zarr v3): `c.0.0.0`, where the default would make a folder for each dimension."""
@@ -74,7 +74,7 @@ def write_group(
     import zarr
     from zarr.codecs import BloscCodec
 
-    from store.unshared import UnsharedStore
+    from lightstage.store.unshared import UnsharedStore
 
     secondary = [name for name, coordinate in coordinates.items() if coordinate.dims != (name,)]
     group_attrs = {**attrs, **({"coordinates": " ".join(secondary)} if secondary else {})}
@@ -126,7 +126,7 @@ def open_dataset(folder: Path) -> Any:
     """
     import xarray
 
-    from store.checked import CheckedStore
+    from lightstage.store.checked import CheckedStore
 
     group = folder.resolve()
     try:

@@ -15,15 +15,15 @@ from typing import Any
 
 import numpy as np
 
-from store.calibration import Item, StoredPicture, get_item, items_in, put_item
-from store.capture import NAME_RULE, SESSION_NAME, Capture, PictureFile, read_captures
-from store.chunks import ChunkRef, Chunks, Staging
-from store.digest import digest_bytes
-from store.errors import RequestError, raise_all
-from store.intake import FileError, open_regular, read_regular
-from store.picture import LARGEST_FILE, Declared, Picture, declared, decode
-from store.root import Store
-from store.sessions import Session, SessionChangedError, commit_session, present_session, show_raw
+from lightstage.store.calibration import Item, StoredPicture, get_item, items_in, put_item
+from lightstage.store.capture import NAME_RULE, SESSION_NAME, Capture, PictureFile, read_captures
+from lightstage.store.chunks import ChunkRef, Chunks, Staging
+from lightstage.store.digest import digest_bytes
+from lightstage.store.errors import RequestError, raise_all
+from lightstage.store.intake import FileError, open_regular, read_regular
+from lightstage.store.picture import LARGEST_FILE, Declared, Picture, declared, decode
+from lightstage.store.root import Store
+from lightstage.store.sessions import Session, SessionChangedError, commit_session, present_session, show_raw
 
 Progress = Callable[[Iterable[Any], int, str], Iterable[Any]]
 _MEMORY = 1500 << 20

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
-from store.errors import LightstageError, RequestError, WorkError
-from store.sealed import intact, seal
+from lightstage.store.errors import LightstageError, RequestError, WorkError
+from lightstage.store.sealed import intact, seal
 
 FORMAT = 2
 """What this program reads and writes; `store.upgrade` has a step for every one before it."""

@@ -15,11 +15,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from store.chunks import ChunkIndex, ChunkRef, Chunks
-from store.digest import digest_bytes
-from store.errors import DamagedFileError
-from store.files import Scratch, files_below, replace
-from store.sealed import seal, unseal
+from lightstage.store.chunks import ChunkIndex, ChunkRef, Chunks
+from lightstage.store.digest import digest_bytes
+from lightstage.store.errors import DamagedFileError
+from lightstage.store.files import Scratch, files_below, replace
+from lightstage.store.sealed import seal, unseal
 
 Placed = Mapping[str, Mapping[ChunkIndex, ChunkRef]]
 """By array, the chunks by their place in its chunk grid."""
@@ -109,11 +109,16 @@ def whole(group: Path, chunks: Placed, source: Chunks) -> bool:
         note = read_note(group)
     except (OSError, DamagedFileError):
         return False
-    return all(digest_of(group / file) == digest for file, digest in note.own.items()) and all(
+    placed_at = {chunk_file(array, index): ref for array, placed in chunks.items() for index, ref in placed.items()}
+    own = all(digest_of(group / file) == digest for file, digest in note.own.items())
+    return own and holds(group, placed_at, source)
+
+
+def holds(group: Path, links: Mapping[str, ChunkRef], source: Chunks) -> bool:
+    """Whether each of these files of a group is there, and is its chunk."""
+    return all(
         is_link(group / file, source.path(ref.blob)) or digest_of(group / file) == ref.blob
-        for file, ref in (
-            (chunk_file(array, index), ref) for array, placed in chunks.items() for index, ref in placed.items()
-        )
+        for file, ref in links.items()
     )
 
 

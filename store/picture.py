@@ -17,7 +17,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from store.intake import FileError
+from lightstage.store.intake import FileError
 
 Picture = NDArray[Any]
 EXTENSIONS = (".png", ".tif", ".tiff")

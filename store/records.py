@@ -19,10 +19,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from store.chunks import ChunkRef
-from store.errors import DamagedFileError, WorkError
-from store.files import Scratch, put_if_absent, replace
-from store.sealed import seal, unseal
+from lightstage.store.chunks import ChunkRef
+from lightstage.store.errors import DamagedFileError, WorkError
+from lightstage.store.files import Scratch, put_if_absent, replace
+from lightstage.store.sealed import seal, unseal
 
 KINDS = ("blocks", "nodes", "runs")
 

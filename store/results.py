@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from store.errors import DamagedFileError, RequestError
-from store.files import disk_faults_named, renewed, replace
-from store.grid import ArrayTemplate, Coordinate, write_group
-from store.notes import Placed, note_path, read_note, whole, write_note
-from store.root import Store
+from lightstage.store.errors import DamagedFileError, RequestError
+from lightstage.store.files import disk_faults_named, renewed, replace
+from lightstage.store.grid import ArrayTemplate, Coordinate, write_group
+from lightstage.store.notes import Placed, note_path, read_note, whole, write_note
+from lightstage.store.root import Store
 
 
 @dataclass(frozen=True)

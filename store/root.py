@@ -3,12 +3,12 @@
 import os
 from pathlib import Path
 
-from store import marker
-from store.chunks import Chunks
-from store.errors import RequestError
-from store.files import Scratch, disk_fault, put_if_absent
-from store.marker import Marker
-from store.records import Records
+from lightstage.store import marker
+from lightstage.store.chunks import Chunks
+from lightstage.store.errors import RequestError
+from lightstage.store.files import Scratch, disk_fault, put_if_absent
+from lightstage.store.marker import Marker
+from lightstage.store.records import Records
 
 
 class Store:

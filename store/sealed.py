@@ -11,8 +11,8 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-from store.digest import digest_bytes
-from store.errors import DamagedFileError
+from lightstage.store.digest import digest_bytes
+from lightstage.store.errors import DamagedFileError
 
 _BEFORE, _AFTER = b'{"seal":"', b'"'
 _HEAD = len(_BEFORE) + 32 + len(_AFTER)

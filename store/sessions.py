@@ -29,17 +29,17 @@ from typing import Any
 
 import numpy as np
 
-from store import document, files
-from store.calibration import Item, StoredPicture
-from store.capture import SESSION_NAME
-from store.chunks import ChunkIndex, ChunkRef
-from store.digest import SHORT, digest_bytes, digest_value
-from store.errors import DamagedFileError, RequestError, WorkError
-from store.files import disk_faults_named
-from store.grid import ArrayTemplate, Coordinate, write_group
-from store.notes import note_path, read_note, write_note
-from store.root import Store
-from store.sealed import seal, unseal
+from lightstage.store import document, files
+from lightstage.store.calibration import Item, StoredPicture
+from lightstage.store.capture import SESSION_NAME
+from lightstage.store.chunks import ChunkIndex, ChunkRef
+from lightstage.store.digest import SHORT, digest_bytes, digest_value
+from lightstage.store.errors import DamagedFileError, RequestError, WorkError
+from lightstage.store.files import disk_faults_named
+from lightstage.store.grid import ArrayTemplate, Coordinate, write_group
+from lightstage.store.notes import holds, note_path, read_note, whole, write_note
+from lightstage.store.root import Store
+from lightstage.store.sealed import seal, unseal
 
 FORMAT = "lightstage-session/1"
 PATIENCE_S = 30.0
@@ -331,23 +331,23 @@ def raw_chunks(session: Session) -> dict[str, dict[ChunkIndex, ChunkRef]]:
 
 
 def write_raw(session: Session, store: Store) -> None:
-    """Make the group of a session's pictures, unless it is there."""
+    """Make the group of a session's pictures, unless it is there, whole."""
     target = raw_group(session, store)
-    if target.is_dir() and note_path(target).is_file():
+    chunks = raw_chunks(session)
+    if whole(target, chunks, store.chunks):
         return
-    store.scratch.remove(target)
     lost = [ref for ref in session.refs() if not store.chunks.has(ref)]
     if lost:
         raise WorkError(
             f"{len(lost)} picture(s) of session '{session.name}' are lost; import {session.source['folder']} again"
         )
+    store.scratch.remove(target)
     sizes, facts = session.sizes, session.facts
     dims = tuple(sizes)
     shape = tuple(sizes.values())
     arrays = {"raw": ArrayTemplate(dims, shape, (1, 1, 1, *session.shape), "uint16", {"units": "counts"})}
     if session.mask is not None:
         arrays["mask"] = ArrayTemplate(("y", "x"), session.shape, session.shape, "bool")
-    chunks = raw_chunks(session)
     hidden = ("illumination", "time_s", "polarisation", "bands_nm")
     temporary = store.scratch.path()
     with disk_faults_named(target), store.scratch.present():
@@ -402,7 +402,7 @@ def show_raw(name: str, store: Store, *, anew: bool = False) -> None:
     group = raw_group(session, store)
     link = store.sessions / name / "raw.zarr"
     shown = group == link or (link.is_symlink() and os.readlink(link) == group.name)
-    if shown and not anew and group.is_dir() and note_path(group).is_file():
+    if shown and not anew and whole(group, raw_chunks(session), store.chunks):
         return
     if anew:
         store.scratch.remove(group)
@@ -418,6 +418,7 @@ def _link_raw(session: Session, store: Store) -> None:
     group = raw_group(session, store)
     if group == link or (link.is_symlink() and os.readlink(link) == group.name):
         return
+    before = link.resolve()
     temporary = store.scratch.path()
     with disk_faults_named(link):
         try:
@@ -431,6 +432,16 @@ def _link_raw(session: Session, store: Store) -> None:
                 store.scratch.remove(link)
                 note_path(link).unlink(missing_ok=True)
             os.replace(temporary, link)
+    if before not in (link, group):
+        _remove_unless_whole(before, store)
+
+
+def _remove_unless_whole(group: Path, store: Store) -> None:
+    """Remove a group that is no longer shown and lacks a picture, which whoever opens it would read as black."""
+    with contextlib.suppress(OSError, DamagedFileError):
+        if not holds(group, read_note(group).links, store.chunks):
+            store.scratch.remove(group)
+            note_path(group).unlink(missing_ok=True)
 
 
 def _move_raw(session: Session, group: Path, shown: Path, store: Store) -> None:

@@ -19,18 +19,18 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from store import marker
-from store.calibration import get_item, item_names
-from store.chunks import ChunkRef
-from store.digest import digest_bytes
-from store.errors import LightstageError, RequestError, WorkError
-from store.files import delete, disk_faults_named, files_below, replace
-from store.marker import FORMAT, DamagedMarkerError, Marker
-from store.notes import digest_of, own_place
-from store.records import BlockRecord
-from store.root import Store
-from store.sealed import is_sealed, seal
-from store.sessions import show_raw
+from lightstage.store import marker
+from lightstage.store.calibration import get_item, item_names
+from lightstage.store.chunks import ChunkRef
+from lightstage.store.digest import digest_bytes
+from lightstage.store.errors import LightstageError, RequestError, WorkError
+from lightstage.store.files import delete, disk_faults_named, files_below, replace
+from lightstage.store.marker import FORMAT, DamagedMarkerError, Marker
+from lightstage.store.notes import digest_of, own_place
+from lightstage.store.records import BlockRecord
+from lightstage.store.root import Store
+from lightstage.store.sealed import is_sealed, seal
+from lightstage.store.sessions import show_raw
 
 Progress = Callable[[Iterable[Any], int, str], Iterable[Any]]
 

@@ -13,14 +13,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from store.calibration import Item, get_item, item_names, original_of
-from store.digest import SHORT, digest_bytes
-from store.errors import DamagedFileError, LightstageError, RequestError, WorkError
-from store.files import files_below, link_or_copy, replace
-from store.notes import Note, chunk_file, digest_of, note_path, read_note
-from store.records import KINDS, blobs_named, intact_record
-from store.root import Store
-from store.sessions import Session, raw_chunks, raw_group, read_session, session_names, show_raw
+from lightstage.store.calibration import Item, get_item, item_names, original_of
+from lightstage.store.digest import SHORT, digest_bytes
+from lightstage.store.errors import DamagedFileError, LightstageError, RequestError, WorkError
+from lightstage.store.files import files_below, link_or_copy, replace
+from lightstage.store.notes import Note, chunk_file, digest_of, note_path, read_note
+from lightstage.store.records import KINDS, blobs_named, intact_record
+from lightstage.store.root import Store
+from lightstage.store.sessions import Session, raw_chunks, raw_group, read_session, session_names, show_raw
 
 Progress = Callable[[Iterable[Any], int, str], Iterable[Any]]
 

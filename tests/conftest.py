@@ -13,8 +13,8 @@ from typing import Any
 import hypothesis
 import pytest
 
-from store.notes import write_note
-from store.root import Store
+from lightstage.store.notes import write_note
+from lightstage.store.root import Store
 from tests.scenes import sphere_capture
 
 REPOSITORY = Path(__file__).resolve().parent.parent
@@ -73,7 +73,7 @@ class Answer:
 @pytest.fixture
 def lightstage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Callable[..., Answer]:
     """The command, in this process, on a store of the test's own."""
-    from cli.main import main
+    from lightstage.cli.main import main
 
     def call(*words: str | Path, store: str | Path = tmp_path / "store") -> Answer:
         capsys.readouterr()
@@ -96,5 +96,5 @@ def put_result(dataset: Any, root: Path, session: str, node: str) -> None:
 
 def run_process(*words: str | Path, store: Path, **options: Any) -> subprocess.CompletedProcess[str]:
     """The command in a process of its own."""
-    command = [sys.executable, "-m", "cli.main", "--store", str(store), *map(str, words)]
+    command = [sys.executable, "-m", "lightstage.cli.main", "--store", str(store), *map(str, words)]
     return subprocess.run(command, capture_output=True, text=True, timeout=300, **{"cwd": REPOSITORY, **options})

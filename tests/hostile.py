@@ -153,7 +153,7 @@ class Finding:
 
 def answered(trial: Trial, *, limit_s: float = 20.0) -> Finding | None:
     """Run a request in this process; None when it is answered as it should be."""
-    from cli.main import main
+    from lightstage.cli.main import main
 
     out, err = io.StringIO(), io.StringIO()
     began = time.perf_counter()
@@ -318,7 +318,7 @@ def _change(value: Any, path: tuple[Any, ...], chance: random.Random) -> str:
 
 def _odd_words(chance: random.Random) -> list[str]:
     """A command with odd values for some of its options and arguments."""
-    from cli.main import build_parser
+    from lightstage.cli.main import build_parser
 
     def commands(
         parser: argparse.ArgumentParser, words: list[str]

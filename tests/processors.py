@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.resampling import STEP
+from lightstage.kernels.pictures.resampling import STEP
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 Arrays = dict[str, NDArray[Any]]
@@ -62,7 +62,7 @@ def performs(session: str) -> bool:
 
 def results(work: Path, size: str) -> dict[str, dict[str, Arrays]]:
     """By session and setting, all arrays of nodes of pipeline.yaml, from the same pictures of the virtual rig."""
-    from cli.main import main as lightstage
+    from lightstage.cli.main import main as lightstage
 
     for session, words in SESSIONS.items():
         demo = ["demo", "--size", size, "--session", session, *words]

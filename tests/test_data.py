@@ -13,8 +13,8 @@ import trimesh
 import xarray
 
 from benchmarks.accuracy import angle, difference_without_noise, displacement, truth_of
-from stages.pinhole import Pinhole
-from store.document import load
+from lightstage.kernels.surface.pinhole import Pinhole
+from lightstage.store.document import load
 from tests.conftest import Answer, run_process
 
 pytestmark = [pytest.mark.data, pytest.mark.slow]
@@ -165,8 +165,8 @@ def test_depth_of_the_head_comes_with_the_normals(run: Run, data: Path) -> None:
 
 def test_without_noise_the_near_model_leaves_less_than_a_tenth_of_a_degree(data: Path) -> None:
     """Pictures summed from the noise-free one-light arrays, so nothing but the model and the depth can be wrong."""
-    from stages import near_light, self_consistent
-    from stages.pinhole import Pinhole
+    from lightstage.kernels.normals import near_light, self_consistent
+    from lightstage.kernels.surface.pinhole import Pinhole
 
     for name in ("static_sphere", "static_cylinder"):
         folder = data / "rendered" / name
@@ -253,8 +253,8 @@ def test_the_homography_from_rendered_boards(data: Path, tmp_path: Path, boards:
 
 
 def test_the_camera_from_real_boards_is_within_opencvs_own_spread(data: Path, tmp_path: Path) -> None:
-    from stages.calibration.board_corners import find_corners
-    from stages.calibration.camera_matrix import fit_camera
+    from lightstage.kernels.targets.board_corners import find_corners
+    from lightstage.kernels.targets.camera_matrix import fit_camera
 
     pictures = [
         cv2.imread(str(p), cv2.IMREAD_GRAYSCALE) for p in sorted((data / "real/checkerboard_opencv").glob("left*"))
@@ -320,8 +320,8 @@ def test_alignment_of_rendered_performances(
     run: Run, data: Path, speed: str, pixels: float, degrees: float
 ) -> None:
     """Flows against the rendered ones; normals against those that the true flow gives with the same pictures."""
-    from stages.flow_warp import warp
-    from stages.picture_sets import choose
+    from lightstage.kernels.motion.flow_warp import warp
+    from lightstage.kernels.pictures.picture_sets import choose
 
     capture = f"rendered/dynamic_A_{speed}_minimal"
     folder = data / capture

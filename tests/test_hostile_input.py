@@ -18,15 +18,15 @@ import numpy as np
 import pytest
 import yaml
 
-from cli.face_points import read_points
-from cli.main import main
-from dag.stage import CalibrationPicture, StageError
-from hw.sequence import period
-from store import document
-from store.calibration import KINDS
-from store.capture import CaptureFile
-from store.errors import MOST_PROBLEMS, RequestError
-from store.root import Store
+from lightstage.cli.face_points import read_points
+from lightstage.cli.main import main
+from lightstage.dag.stage import CalibrationPicture, StageError
+from lightstage.hw.sequence import period
+from lightstage.store import document
+from lightstage.store.calibration import KINDS
+from lightstage.store.capture import CaptureFile
+from lightstage.store.errors import MOST_PROBLEMS, RequestError
+from lightstage.store.root import Store
 from tests.conftest import REPOSITORY, Answer
 from tests.hostile import Ground, answered, spoil
 
@@ -307,7 +307,7 @@ def test_a_dark_that_is_bright_is_refused(ground: Ground, tmp_path: Path, lights
 
 
 def test_a_dark_that_leaves_no_room_for_light_is_refused() -> None:
-    from stages.register import STAGE
+    from lightstage.stages.register import STAGE
 
     def prepared(level: int) -> object:
         picture = CalibrationPicture("", lambda: np.full((4, 4), level, np.uint16))
@@ -342,7 +342,7 @@ def test_a_long_chain_in_reverse_is_ordered(
 ) -> None:
     count = 10_000
     # a stage that reads its own kind can stand in a chain of any length
-    monkeypatch.setattr("dag.graph._misfits", lambda *_: [])
+    monkeypatch.setattr("lightstage.dag.graph._misfits", lambda *_: [])
     nodes = [f"n{i}: {{uses: split, from: n{i - 1}}}" for i in range(1, count)]
     path = pipeline(tmp_path, reversed(["n0: {uses: capture}", *nodes]))
     done = lightstage("graph", "--pipeline", path)
@@ -428,7 +428,7 @@ def test_a_refusal_of_the_operating_system_is_a_sentence(
         def refuse(*_: object, number: int = number) -> None:
             raise OSError(number, os.strerror(number), "/x/y")
 
-        monkeypatch.setattr("store.sessions.session_names", refuse)
+        monkeypatch.setattr("lightstage.store.sessions.session_names", refuse)
         done = lightstage("sessions", "list", store=ground.store)
         assert (done.code, done.err) == (1, said)
 
@@ -439,7 +439,7 @@ def test_memory_that_runs_out_is_a_sentence(
     def fill(*_: object) -> None:
         np.empty(1 << 60, np.uint8)
 
-    monkeypatch.setattr("store.sessions.session_names", fill)
+    monkeypatch.setattr("lightstage.store.sessions.session_names", fill)
     done = lightstage("sessions", "list", store=ground.store)
     assert done.code == 1
     assert "there is not enough memory for this (Unable to allocate" in done.err
@@ -449,7 +449,7 @@ def process(script: str, folder: Path, **variables: str) -> "subprocess.Complete
     return subprocess.run(
         ["sh", "-c", script, sys.executable],
         cwd=folder,
-        env={**os.environ, "PYTHONPATH": str(REPOSITORY), **variables},
+        env={**os.environ, "PYTHONPATH": str(REPOSITORY / "src"), **variables},
         capture_output=True,
         timeout=120,
     )
@@ -457,13 +457,13 @@ def process(script: str, folder: Path, **variables: str) -> "subprocess.Complete
 
 def test_places_that_a_shell_can_put_a_command_in(tmp_path: Path) -> None:
     """A full stdout, one without letters, a folder that is gone; and libyaml's stack, which ends a process."""
-    static = '"$0" -m cli.main sequence static'
+    static = '"$0" -m lightstage.cli.main sequence static'
     script = f"""
     {static} > /dev/full; echo full $?
-    "$0" -m cli.main --help > /dev/full; echo help $?
+    "$0" -m lightstage.cli.main --help > /dev/full; echo help $?
     PYTHONIOENCODING=ascii {static} --to ä.yaml; echo letters $?
     head -c 100000 /dev/zero | tr '\\0' '[' > deep.yaml; {static[:-7]} check deep.yaml; echo deep $?
-    mkdir gone; cd gone; rmdir ../gone; "$0" -m cli.main sessions list; echo gone $?
+    mkdir gone; cd gone; rmdir ../gone; "$0" -m lightstage.cli.main sessions list; echo gone $?
     """
     done = process(script, tmp_path, LC_ALL="C.UTF-8")
     said, answers = done.stderr.decode(), done.stdout.decode("ascii")
@@ -525,7 +525,7 @@ def test_a_spoilt_file_of_points_is_read_or_refused(tmp_path: Path) -> None:
 
 
 def test_a_figure_that_no_block_tells_is_not_said_of_the_result(store: Store) -> None:
-    from dag.task import BlockTask, _write
+    from lightstage.dag.task import BlockTask, _write
 
     task = SimpleNamespace(arrays={"a": ("float32", (1, 2), (1, 2), None)}, node="n", block="b")
     outputs = {"a": np.zeros((1, 2), np.float32), "stats": {"error": float("nan"), "part": 0.5}}

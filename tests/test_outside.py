@@ -14,11 +14,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hw import compiled
+from lightstage import compiled
 from tests.conftest import REPOSITORY
+from tests.package import copy_package
 from tests.scenes import sphere_capture
-
-PACKAGES = ("cli", "dag", "hw", "stages", "store")
 
 
 def contents(folder: Path) -> set[str]:
@@ -27,7 +26,8 @@ def contents(folder: Path) -> set[str]:
 
 def commands(*calls: tuple[str, ...], **options: object) -> subprocess.CompletedProcess[str]:
     """Several commands in one process."""
-    code = f"import sys; from cli.main import main; sys.exit(max(main(list(words)) for words in {calls!r}))"
+    code = "import sys; from lightstage.cli.main import main; "
+    code += f"sys.exit(max(main(list(words)) for words in {calls!r}))"
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300, **options)  # type: ignore[call-overload,no-any-return]
 
 
@@ -47,7 +47,7 @@ def test_a_home_holds_compiled_code_and_nothing_else(tmp_path: Path, sphere: Pat
         (*store, "run", "register", "--session", "ball"),
         (*store, "sequence", "count", "--plot", str(tmp_path / "count.png")),
         cwd=here,
-        env=plain_environment(HOME=str(home), TMPDIR=str(temporary), PYTHONPATH=str(REPOSITORY)),
+        env=plain_environment(HOME=str(home), TMPDIR=str(temporary), PYTHONPATH=str(REPOSITORY / "src")),
     )
     assert (done.returncode, done.stderr) == (0, "")
     assert contents(here) | contents(temporary) == set()
@@ -81,10 +81,7 @@ def test_an_installation_that_cannot_be_written_runs_without_a_home(open_folder:
     if not as_nobody(sys.executable, "-c", "import numpy"):
         pytest.skip("needs root, setpriv, and a Python that another user may run")
     program, store, capture = (open_folder / name for name in ("program", "store", "ball"))
-    for package in PACKAGES:
-        shutil.copytree(REPOSITORY / package, program / package, ignore=shutil.ignore_patterns("__pycache__"))
-    for file in ("pipeline.yaml", "calibration.yaml"):
-        shutil.copy(REPOSITORY / file, program)
+    copy_package(program)
     sphere_capture(capture)
     store.mkdir()
     os.chown(store, 65534, 65534)
@@ -92,7 +89,7 @@ def test_an_installation_that_cannot_be_written_runs_without_a_home(open_folder:
         ["--store", str(store), *words]
         for words in (("import", str(capture)), ("run", "register", "--session", "ball"))
     ]
-    code = f"import sys; from cli.main import main; sys.exit(max(main(words) for words in {calls!r}))"
+    code = f"import sys; from lightstage.cli.main import main; sys.exit(max(main(words) for words in {calls!r}))"
     done = subprocess.run(
         [*NOBODY, sys.executable, "-B", "-c", code],
         cwd=program,
@@ -170,18 +167,20 @@ def test_a_full_disk_does_not_stop_the_work(kept: Path, monkeypatch: pytest.Monk
 
 
 def test_an_edit_of_an_imported_module_compiles_anew(monkeypatch: pytest.MonkeyPatch) -> None:
-    import stages.joint_flow  # noqa: F401  which compiles constants of stages.block_grid into its functions
+    import kernels.motion.joint_flow  # noqa: F401  which compiles constants of kernels.motion.block_grid into its functions
 
-    before = compiled._source("stages.joint_flow")
+    before = compiled._source("lightstage.kernels.motion.joint_flow")
     text = compiled._text
-    monkeypatch.setattr(compiled, "_text", lambda name: text(name) + b"#" * (name == "stages.block_grid"))
-    assert compiled._source("stages.joint_flow") != before
-    monkeypatch.setattr(compiled, "_text", lambda name: text(name) + b"#" * (name == "stages.gloss"))
-    assert compiled._source("stages.joint_flow") == before
+    monkeypatch.setattr(
+        compiled, "_text", lambda name: text(name) + b"#" * (name == "lightstage.kernels.motion.block_grid")
+    )
+    assert compiled._source("lightstage.kernels.motion.joint_flow") != before
+    monkeypatch.setattr(compiled, "_text", lambda name: text(name) + b"#" * (name == "lightstage.stages.gloss"))
+    assert compiled._source("lightstage.kernels.motion.joint_flow") == before
 
 
 def test_numba_asks_for_our_functions_and_not_for_others() -> None:
-    from stages.stack import _rounded
+    from lightstage.stages.stack import _rounded
 
     assert isinstance(_rounded._cache._cache_file, compiled.Code)
     assert compiled.Place.from_function(contents, __file__) is None

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from stages.resampling import STEP
+from lightstage.kernels.pictures.resampling import STEP
 from tests.processors import CHOSEN_BY, IN_STEPS, SESSIONS, SETTINGS, apart, environment, results
 from tests.whole_pipeline import nodes
 

@@ -16,8 +16,9 @@ import xarray
 import yaml
 from numpy.typing import NDArray
 
-from cli.main import main
-from stages import rig_normals, upsample
+from lightstage.cli.main import main
+from lightstage.kernels.normals import rig_normals
+from lightstage.stages import upsample
 from tests.processors import REPOSITORY, performs
 
 PIPELINE = REPOSITORY / "pipeline.yaml"

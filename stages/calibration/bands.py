@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dag.stage import (
+from lightstage.dag.stage import (
     Arrangement,
     Finding,
     Grid,
@@ -28,15 +28,15 @@ from dag.stage import (
     Stage,
     StageError,
 )
-from hw import color_checker
-from stages.calibration.band_scale import (
+from lightstage.hw import color_checker
+from lightstage.kernels.targets.band_scale import (
     band_scale,
     checker_reflectance,
     find_checker,
     find_target,
     response_of,
 )
-from stages.calibration.session import need_target, reference
+from lightstage.stages.calibration.session import need_target, reference
 
 _UNEVEN = 0.05
 """Part by which a target may be lit unevenly before its mean is in doubt."""

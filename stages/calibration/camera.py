@@ -13,9 +13,21 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dag.stage import Arrangement, Finding, Grid, Group, Input, Items, Needs, Output, Params, Result, Stage
-from stages.calibration.camera_matrix import NAMES, fit_camera, other_camera
-from stages.calibration.session import need_target, reference
+from lightstage.dag.stage import (
+    Arrangement,
+    Finding,
+    Grid,
+    Group,
+    Input,
+    Items,
+    Needs,
+    Output,
+    Params,
+    Result,
+    Stage,
+)
+from lightstage.kernels.targets.camera_matrix import NAMES, fit_camera, other_camera
+from lightstage.stages.calibration.session import need_target, reference
 
 
 class CameraParams(Params):

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dag.stage import Arrangement, Grid, Group, Input, Items, Output, Params, Stage
-from stages.calibration.board_corners import find_corners, undo_mount
-from stages.calibration.session import need_target
+from lightstage.dag.stage import Arrangement, Grid, Group, Input, Items, Output, Params, Stage
+from lightstage.kernels.targets.board_corners import find_corners, undo_mount
+from lightstage.stages.calibration.session import need_target
 
 
 class CornersParams(Params):

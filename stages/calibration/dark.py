@@ -14,9 +14,21 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dag.stage import Arrangement, Finding, Grid, Group, Input, Items, Output, Params, Result, Stage, StageError
-from stages.calibration.defects import find_hot, moments
-from stages.calibration.session import SCALE, frames_of, listed, stored
+from lightstage.dag.stage import (
+    Arrangement,
+    Finding,
+    Grid,
+    Group,
+    Input,
+    Items,
+    Output,
+    Params,
+    Result,
+    Stage,
+    StageError,
+)
+from lightstage.kernels.targets.defects import find_hot, moments
+from lightstage.stages.calibration.session import SCALE, frames_of, listed, stored
 
 
 class DarkParams(Params):

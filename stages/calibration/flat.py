@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dag.stage import (
+from lightstage.dag.stage import (
     Arrangement,
     Finding,
     Grid,
@@ -27,9 +27,9 @@ from dag.stage import (
     Stage,
     StageError,
 )
-from stages.calibration.defects import find_dead, find_hot, interpolate, moments
-from stages.calibration.sensor_response import fit_linearity, photon_transfer
-from stages.calibration.session import SCALE, frames_of, listed, stored
+from lightstage.kernels.targets.defects import find_dead, find_hot, interpolate, moments
+from lightstage.kernels.targets.sensor_response import fit_linearity, photon_transfer
+from lightstage.stages.calibration.session import SCALE, frames_of, listed, stored
 
 _FULL = 0.95
 """A flat reaches at most this part of the range at its brightest 99.9 %."""

@@ -21,8 +21,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dag.stage import Arrangement, Grid, Group, Input, Output, Params, Stage
-from stages.calibration.session import parts, reference
+from lightstage.dag.stage import Arrangement, Grid, Group, Input, Output, Params, Stage
+from lightstage.stages.calibration.session import parts, reference
 
 Floats = NDArray[np.float64]
 

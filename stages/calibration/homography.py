@@ -13,12 +13,24 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dag.stage import Arrangement, Finding, Grid, Group, Input, Items, Output, Params, Result, Stage, StageError
-from stages.calibration.board_corners import Corners
-from stages.calibration.homography_fit import expected_error_px, fit_homography
-from stages.calibration.mount_check import check_mount, pair_corners
-from stages.calibration.residual_field import MATTERS_PX, check_field
-from stages.calibration.session import need_target
+from lightstage.dag.stage import (
+    Arrangement,
+    Finding,
+    Grid,
+    Group,
+    Input,
+    Items,
+    Output,
+    Params,
+    Result,
+    Stage,
+    StageError,
+)
+from lightstage.kernels.targets.board_corners import Corners
+from lightstage.kernels.targets.homography_fit import expected_error_px, fit_homography
+from lightstage.kernels.targets.mount_check import check_mount, pair_corners
+from lightstage.kernels.targets.residual_field import MATTERS_PX, check_field
+from lightstage.stages.calibration.session import need_target
 
 _CORNER_PX = 0.1
 """What the matrix may be uncertain by in the picture's corners before more boards are asked for."""

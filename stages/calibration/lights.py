@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dag.stage import (
+from lightstage.dag.stage import (
     Arrangement,
     Finding,
     Grid,
@@ -31,12 +31,18 @@ from dag.stage import (
     Stage,
     StageError,
 )
-from hw.geodesic import light_positions
-from stages.calibration.ball_conic import sphere_centre
-from stages.calibration.ball_outline import find_outline
-from stages.calibration.light_positions import Camera, refine
-from stages.calibration.light_rays import light_rays, orthographic_directions, ray_sigma, to_world, triangulate
-from stages.calibration.session import (
+from lightstage.hw.geodesic import light_positions
+from lightstage.kernels.targets.ball_conic import sphere_centre
+from lightstage.kernels.targets.ball_outline import find_outline
+from lightstage.kernels.targets.light_positions import Camera, refine
+from lightstage.kernels.targets.light_rays import (
+    light_rays,
+    orthographic_directions,
+    ray_sigma,
+    to_world,
+    triangulate,
+)
+from lightstage.stages.calibration.session import (
     frames_of,
     intrinsics,
     light_numbers,
@@ -262,7 +268,7 @@ def _nearby(found: Any, ring: Floats, lens: Mapping[str, Any]) -> Any:
 
 
 def _kept(ring: Floats, lens: Mapping[str, Any]) -> Any:
-    from stages.calibration.ball_conic import outline_of_points
+    from lightstage.kernels.targets.ball_conic import outline_of_points
 
     return outline_of_points(ring[::6], **lens)
 

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dag.stage import Arrangement, Grid, Group, Input, Items, Needs, Output, Params, Stage, StageError
-from stages.calibration.ball_conic import outline_of_points
-from stages.calibration.ball_outline import find_outline
-from stages.calibration.session import frames_of, intrinsics, need_target, parts, reference
+from lightstage.dag.stage import Arrangement, Grid, Group, Input, Items, Needs, Output, Params, Stage, StageError
+from lightstage.kernels.targets.ball_conic import outline_of_points
+from lightstage.kernels.targets.ball_outline import find_outline
+from lightstage.stages.calibration.session import frames_of, intrinsics, need_target, parts, reference
 
 
 class OutlineParams(Params):

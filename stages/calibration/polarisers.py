@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dag.stage import (
+from lightstage.dag.stage import (
     Arrangement,
     Finding,
     Grid,
@@ -27,9 +27,9 @@ from dag.stage import (
     Stage,
     StageError,
 )
-from stages.calibration.photometry import highlight_sums, variance
-from stages.calibration.polariser_fit import GRAZING_DEG, fit_polarisers
-from stages.calibration.session import frames_of, light_numbers, need_target, parts, reference
+from lightstage.kernels.targets.photometry import highlight_sums, variance
+from lightstage.kernels.targets.polariser_fit import GRAZING_DEG, fit_polarisers
+from lightstage.stages.calibration.session import frames_of, light_numbers, need_target, parts, reference
 
 
 class PolarisersParams(Params):

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dag.stage import Grid, StageError
+from lightstage.dag.stage import Grid, StageError
 
 SCALE = 16
 """Stored value = counts x this: a mean of frames has fractions."""

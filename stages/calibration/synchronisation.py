@@ -14,10 +14,22 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dag.stage import Arrangement, Finding, Grid, Group, Input, Items, Output, Params, Result, Stage, StageError
-from stages.calibration.photometry import highlight_sums, variance
-from stages.calibration.session import frames_of, light_numbers, need_target, reference
-from stages.calibration.sync_check import align, check
+from lightstage.dag.stage import (
+    Arrangement,
+    Finding,
+    Grid,
+    Group,
+    Input,
+    Items,
+    Output,
+    Params,
+    Result,
+    Stage,
+    StageError,
+)
+from lightstage.kernels.targets.photometry import highlight_sums, variance
+from lightstage.kernels.targets.sync_check import align, check
+from lightstage.stages.calibration.session import frames_of, light_numbers, need_target, reference
 
 PATTERNS = ("T0", "T1", "T2", "T3", "O")
 

@@ -30,10 +30,10 @@ from numpy.typing import NDArray
 
 from tests.chaos.interference import Interference
 from tests.chaos.outcome import HangError, UnclearError, WrongError
+from tests.package import use_package
 from tests.scenes import STATIC, ideal_gradient, sphere_normals, write_capture
 
 REPOSITORY = Path(__file__).resolve().parent.parent.parent
-OURS = ("cli", "stages", "dag", "store", "hw")
 SHAPE = (18, 24)
 HANG_S = 60.0
 PIPELINE = """stages:
@@ -56,10 +56,18 @@ def warm(store: Path | None = None, options: Sequence[str] = ()) -> None:
     """
     for name in ("zarr", "xarray", "cv2", "numba", "dask.threaded", "distributed", "scipy.ndimage", "numcodecs"):
         importlib.import_module(name)
-    for name in ("cli.main", "dag.run", "dag.recall", "dag.graph", "store.importer", "store.verify", "store.gc"):
+    for name in (
+        "lightstage.cli.main",
+        "lightstage.dag.run",
+        "lightstage.dag.recall",
+        "lightstage.dag.graph",
+        "lightstage.store.importer",
+        "lightstage.store.verify",
+        "lightstage.store.gc",
+    ):
         importlib.import_module(name)
-    from cli.main import build_parser
-    from stages import TABLE
+    from lightstage.cli.main import build_parser
+    from lightstage.stages import TABLE
 
     build_parser()
     for module in TABLE.values():
@@ -68,7 +76,7 @@ def warm(store: Path | None = None, options: Sequence[str] = ()) -> None:
         return
     import zarr.core.sync
 
-    from cli.main import main
+    from lightstage.cli.main import main
 
     with contextlib.redirect_stdout(None):
         main(["--store", str(store), "status", *options])
@@ -171,17 +179,14 @@ class Command:
             tempfile.tempdir = None
             os.chdir(self.room / "cwd")
             if self.checkout is not None:
-                for name in [n for n in sys.modules if n.split(".")[0] in OURS]:
-                    del sys.modules[name]
-                sys.path[:] = [str(self.checkout), *(p for p in sys.path if Path(p or ".").resolve() != REPOSITORY)]
-                importlib.invalidate_caches()
+                use_package(self.checkout)
             if self.before is not None:
                 self.before()
             for limit, value in self.limits.items():
                 resource.setrlimit(limit, (value, value))
             for one in self.interference:
                 one.install()
-            from cli.main import main
+            from lightstage.cli.main import main
 
             code = max(main(["--store", str(self.store), *map(str, words)]) for words in (self.words, *self.then))
         except SystemExit as end:

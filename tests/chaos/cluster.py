@@ -3,18 +3,17 @@
 import asyncio
 import contextlib
 import ctypes
-import importlib
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Self
 
-from tests.chaos.bench import OURS, REPOSITORY, Trial
+from tests.chaos.bench import Trial
 from tests.chaos.outcome import SkippedError
+from tests.package import use_package
 
 _NEW_MOUNTS = 0x00020000  # CLONE_NEWNS of unshare(2)
 
@@ -54,10 +53,7 @@ class Cluster:
             if copy_of is not None:
                 _see_instead(*copy_of)
             if checkout is not None:
-                for name in [n for n in sys.modules if n.split(".")[0] in OURS]:
-                    del sys.modules[name]
-                sys.path[:] = [str(checkout), *(p for p in sys.path if Path(p or ".").resolve() != REPOSITORY)]
-                importlib.invalidate_caches()
+                use_package(checkout)
             _work(self.address, str(self._room))
 
         return self._fork(work)

@@ -16,14 +16,15 @@ import cv2
 import numpy as np
 import yaml
 
-from tests.chaos.bench import OURS, REPOSITORY, Answer, Bench, Trial, copy, item
+from tests.chaos.bench import REPOSITORY, Answer, Bench, Trial, item
 from tests.chaos.outcome import WrongError
+from tests.package import copy_package
 from tests.scenes import write_capture
 
 KINDS = ("a source file", "the pipeline", "an item", "the session", "an option", "a library")
 TRIALS = 42
-STAGES = {name: f"stages.{name}" for name in ("register", "split", "stack", "normals")}
-DARK = {"dark": "stages.calibration.dark"}
+STAGES = {name: f"lightstage.stages.{name}" for name in ("register", "split", "stack", "normals")}
+DARK = {"dark": "lightstage.stages.calibration.dark"}
 ALL = frozenset(STAGES)
 DISTRIBUTIONS = {"numpy": "numpy", "scipy": "scipy", "colour": "colour-science", "numba": "numba"}
 
@@ -77,17 +78,14 @@ def _expect(made: Trial, said: str, found: set[str], must: set[str], may: set[st
 def _source(made: Trial, dice: random.Random) -> None:
     checkout = made.room / "checkout"
     checkout.mkdir()
-    for name in OURS:
-        copy(REPOSITORY / name, checkout / name)
-    for name in ("pipeline.yaml", "calibration.yaml"):
-        copy(REPOSITORY / name, checkout / name)
+    copy_package(checkout)
     folders: dict[Path, list[Path]] = {}
     for path in sorted(checkout.rglob("*.py")):
         folders.setdefault(path.parent, []).append(path)
     path = dice.choice(folders[dice.choice(sorted(folders))])
     if dice.random() < 0.4:  # one that surely counts
         counted = sorted(_closure(dice.choice([*STAGES.values(), *DARK.values()])))
-        path = checkout / _file(dice.choice(counted)).relative_to(REPOSITORY)
+        path = checkout / _file(dice.choice(counted)).relative_to(REPOSITORY / "src")
     name = path.relative_to(checkout).as_posix()
     kinds = ("a constant", "a comment")
     what = dice.choice((kinds[0], *kinds))
@@ -103,13 +101,16 @@ def _source(made: Trial, dice: random.Random) -> None:
     made.check_exports(made.bench.truth().usual, said, all_of_them=True)
 
 
+_COUNTED = tuple(f"lightstage.{name}." for name in ("stages", "kernels", "hw"))
+
+
 def _file(module: str) -> Path:
-    plain = REPOSITORY / f"{module.replace('.', '/')}.py"
-    return plain if plain.is_file() else REPOSITORY / module.replace(".", "/") / "__init__.py"
+    plain = REPOSITORY / "src" / f"{module.replace('.', '/')}.py"
+    return plain if plain.is_file() else plain.with_suffix("") / "__init__.py"
 
 
 def _closure(module: str, *, packages: bool = True) -> set[str]:
-    """The modules of stages and hw that a module imports, through others too.
+    """The modules of stages, kernels and hw that a module imports, through others too.
 
     Args:
         packages: with the `__init__` of each one's folders, which an import executes.
@@ -130,7 +131,7 @@ def _closure(module: str, *, packages: bool = True) -> set[str]:
             elif isinstance(node, ast.ImportFrom) and node.module:
                 inner = [f"{node.module}.{alias.name}" for alias in node.names]
                 names = [n for n in inner if _file(n).is_file()] or [node.module]
-            waiting += [n for n in names if n.split(".")[0] in ("stages", "hw")]
+            waiting += [n for n in names if n.startswith(_COUNTED)]
     return found
 
 
@@ -253,7 +254,7 @@ def _library(made: Trial, dice: random.Random) -> None:
     may = set(using)
     if name == "scipy":  # numba's linear algebra calls it
         may |= {node for node, stage in STAGES.items() if any("numba" in _libraries(m) for m in _closure(stage))}
-    answer = made.run("--json", checkout=REPOSITORY, before=newer)
+    answer = made.run("--json", checkout=REPOSITORY / "src", before=newer)
     _expect(made, f"another version of {name}", _computed(answer), using, may)
 
 

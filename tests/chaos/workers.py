@@ -13,10 +13,11 @@ import socket
 import time
 from pathlib import Path
 
-from tests.chaos.bench import OURS, REPOSITORY, Trial, copy, results
+from tests.chaos.bench import Trial, copy, results
 from tests.chaos.cluster import Cluster, can_see_instead, kill
 from tests.chaos.interference import At, Held, Interference, Vanished
 from tests.chaos.outcome import SkippedError, WrongError
+from tests.package import copy_package
 
 KINDS = (
     "nobody at the address",
@@ -130,17 +131,16 @@ def _swap(store: Path, away: Path) -> None:
 def _other_code(cluster: Cluster, made: Trial, dice: random.Random, words: tuple[str, ...]) -> str:
     checkout = made.room / "checkout"
     checkout.mkdir()
-    for name in OURS:
-        copy(REPOSITORY / name, checkout / name)
+    copy_package(checkout)
     name, old, new = dice.choice(
         (
-            ("stages/split.py", "np.multiply(cross, 2,", "np.multiply(cross, 2.02,"),
+            ("lightstage/stages/split.py", "np.multiply(cross, 2,", "np.multiply(cross, 2.02,"),
             (
-                "dag/run.py",
+                "lightstage/dag/run.py",
                 "return whole\n",
                 "return whole * whole.dtype.type(1.01) if whole.dtype.kind == 'f' else whole\n",
             ),
-            ("store/chunks.py", "array = np.frombuffer(", "array = 1 * np.frombuffer("),
+            ("lightstage/store/chunks.py", "array = np.frombuffer(", "array = 1 * np.frombuffer("),
         )
     )
     path = checkout / name

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import yaml
 
-from cli import calibrate
-from hw import ball_targets, flat_targets
-from hw.virtual_rig import Shot
+from lightstage.cli import calibrate
+from lightstage.hw import ball_targets, flat_targets
+from lightstage.hw.virtual_rig import Shot
 from tests.conftest import Answer
 
 SEED = 211
@@ -157,7 +157,7 @@ def test_the_camera_of_three_boards(lightstage: Command, boards: Path, tmp_path:
 
 
 def test_hot_pixels_above_20_counts_are_all_found(lightstage: Command, targets: Path, tmp_path: Path) -> None:
-    from hw.virtual_rig import Rig
+    from lightstage.hw.virtual_rig import Rig
 
     folder = flat_targets.uniform(shot("dark"), targets / "dark", kind="dark", repeats=8)
     measure(lightstage, "dark", folder, out=tmp_path)
@@ -354,7 +354,7 @@ def test_what_moved_since_the_last_calibration_is_told(lightstage: Command, boar
 
 
 def test_the_demo_makes_every_target_and_calibrate_measures_it(lightstage: Command) -> None:
-    from cli.demo import TARGETS
+    from lightstage.cli.demo import TARGETS
 
     for target in ("ball", "boards", "white"):
         made = lightstage("demo", "--target", target, "--json").json

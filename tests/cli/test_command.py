@@ -16,7 +16,7 @@ import OpenEXR
 import pytest
 import xarray
 
-from cli.main import build_parser
+from lightstage.cli.main import build_parser
 from tests.conftest import REPOSITORY, Answer, run_process
 from tests.scenes import one_camera_capture, sphere_normals, write_capture
 
@@ -268,14 +268,14 @@ def test_a_full_disk_is_a_sentence_and_nothing_is_lost(tmp_path: Path, sphere: P
     store = tmp_path / "store"
     assert run_process("import", sphere, store=store).returncode == 0
     code = (
-        "import errno, os, sys\nimport store.files\n"
+        "import errno, os, sys\nimport lightstage.store.files\n"
         "real, left = os.fsync, [5]\n"
         "def fsync(fd):\n"
         "    left[0] -= 1\n"
         "    if left[0] < 0: raise OSError(errno.ENOSPC, 'No space left on device')\n"
         "    return real(fd)\n"
         "os.fsync = fsync\n"
-        "from cli.main import main\n"
+        "from lightstage.cli.main import main\n"
         f"sys.exit(main(['--store', {str(store)!r}, 'run', '--session', 'ball']))\n"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=REPOSITORY, capture_output=True, text=True, timeout=120)

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from benchmarks.face_scenes import view
-from cli.face_points import as_yaml, find_points, read_points
-from stages.face_frame import bring, turned
-from store.errors import RequestError
+from lightstage.cli.face_points import as_yaml, find_points, read_points
+from lightstage.kernels.faces.face_frame import bring, turned
+from lightstage.store.errors import RequestError
 
 
 @pytest.mark.parametrize("seed", [5, 6])

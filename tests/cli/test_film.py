@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import xarray
 
-from cli.film import angle_deg, as_colour, relit
+from lightstage.cli.film import angle_deg, as_colour, relit
 from tests.conftest import Answer, put_result
 from tests.scenes import one_camera_capture
 

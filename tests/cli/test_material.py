@@ -12,9 +12,9 @@ import pytest
 import trimesh
 from numpy.typing import NDArray
 
-from cli.deliver import Delivery
-from stages.colour import decode_srgb
-from store.errors import RequestError
+from lightstage.cli.deliver import Delivery
+from lightstage.kernels.appearance.colour import decode_srgb
+from lightstage.store.errors import RequestError
 from tests.cli.test_mesh import Glb
 from tests.conftest import Answer
 from tests.scenes import sphere_capture

@@ -11,9 +11,9 @@ import trimesh
 from PIL import Image
 from pygltflib import GLTF2
 
-from cli.mesh import smooth_frames, surface_of, tangent_space, write_glb, write_mesh
-from stages.pinhole import Pinhole
-from store.errors import RequestError
+from lightstage.cli.mesh import smooth_frames, surface_of, tangent_space, write_glb, write_mesh
+from lightstage.kernels.surface.pinhole import Pinhole
+from lightstage.store.errors import RequestError
 from tests.scenes import light_places, near_ball
 
 RADIUS_MM = 80.0

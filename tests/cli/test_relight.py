@@ -20,11 +20,11 @@ import xarray
 from numpy.typing import NDArray
 from PIL import Image
 
-from cli.pictures import png16, read_environment
-from cli.relight import direction, turned
-from hw.virtual_rig import Shot, capture, radiance
-from stages.colour import decode_srgb, linear_srgb_matrix
-from store.errors import RequestError
+from lightstage.cli.pictures import png16, read_environment
+from lightstage.cli.relight import direction, turned
+from lightstage.hw.virtual_rig import Shot, capture, radiance
+from lightstage.kernels.appearance.colour import decode_srgb, linear_srgb_matrix
+from lightstage.store.errors import RequestError
 from tests.cli.test_material import Exr
 from tests.conftest import Answer
 from tests.scenes import STATIC, light_places, near_ball, write_capture
@@ -342,7 +342,7 @@ def test_wrong_environments(tmp_path: Path, make: Callable[[Path], Path], said: 
 def test_an_environment_out_of_all_measure_is_not_decoded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit: str, said: str
 ) -> None:
-    monkeypatch.setattr(f"cli.pictures.{limit}", 8)
+    monkeypatch.setattr(f"lightstage.cli.pictures.{limit}", 8)
     with pytest.raises(RequestError, match=said):
         read_environment(write_map(tmp_path / "a.exr", white()))
 

@@ -9,8 +9,8 @@ import cv2
 import pytest
 import yaml
 
-from store.capture import CaptureFile
-from store.document import check, load, parse
+from lightstage.store.capture import CaptureFile
+from lightstage.store.document import check, load, parse
 from tests.conftest import Answer
 
 Lightstage = Callable[..., Answer]
@@ -197,6 +197,6 @@ def test_a_file_without_frames_is_named(lightstage: Lightstage, tmp_path: Path) 
 
 def test_the_bands_are_the_thesis_wheel_unless_named(lightstage: Lightstage) -> None:
     done = lightstage("sequence", "multispectral", "--json").json
-    from hw.virtual_rig import THESIS_BANDS
+    from lightstage.hw.virtual_rig import THESIS_BANDS
 
     assert list(dict.fromkeys(one["band_nm"] for one in done["exposures"])) == list(THESIS_BANDS)

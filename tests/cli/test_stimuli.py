@@ -18,8 +18,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from cli.main import main
-from cli.stimulus_files import COLUMNS, png
+from lightstage.cli.main import main
+from lightstage.cli.stimulus_files import COLUMNS, png
 from tests.conftest import Answer
 
 Lightstage = Callable[..., Answer]

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dag import fingerprint
-from dag.fingerprint import block_key, code_digest, plain_context, recipe
-from dag.stage import CalibrationPicture
-from hw import compiled
-from store.digest import digest_array, digest_value
+from lightstage import compiled
+from lightstage.dag import fingerprint
+from lightstage.dag.fingerprint import block_key, code_digest, plain_context, recipe
+from lightstage.dag.stage import CalibrationPicture
+from lightstage.store.digest import digest_array, digest_value
 
 PINNED = Path(__file__).with_name("pinned_digests.json")
 
@@ -82,7 +82,7 @@ def test_helpers_count_also_through_others(tmp_path: Path, monkeypatch: pytest.M
     package = tmp_path / "fakestages"
     package.mkdir()
     (package / "__init__.py").write_text("")
-    (package / "top.py").write_text("from fakestages import middle\nfrom dag.stage import Params\n")
+    (package / "top.py").write_text("from fakestages import middle\nfrom lightstage.dag.stage import Params\n")
     (package / "middle.py").write_text("from .bottom import f\nimport scipy.ndimage\n")
     (package / "bottom.py").write_text("def f(a):\n    return a\n")
     monkeypatch.syspath_prepend(str(tmp_path))

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from dag.graph import load_graph
-from stages import TABLE
-from store.errors import RequestError
+from lightstage.dag.graph import load_graph
+from lightstage.stages import TABLE
+from lightstage.store.errors import RequestError
 
 GOOD = """\
 stages:

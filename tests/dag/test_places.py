@@ -16,14 +16,14 @@ from typing import Any
 
 import pytest
 
-import dag.run
-from dag import places
-from dag.places import LostWorkersError, Where, compute
-from dag.sources import ROOT, packages
-from store.errors import RequestError, WorkError
-from store.importer import import_capture
-from store.root import Store
+from lightstage.dag import places
+from lightstage.dag import run as dag_run
+from lightstage.dag.places import LostWorkersError, Where, compute
+from lightstage.store.errors import RequestError, WorkError
+from lightstage.store.importer import import_capture
+from lightstage.store.root import Store
 from tests.conftest import Answer
+from tests.package import copy_package
 from tests.scenes import sphere_capture
 
 Lightstage = Callable[..., Answer]
@@ -102,8 +102,7 @@ def test_a_cluster_that_lacks_or_loses_what_it_needs_is_told(
 def test_a_living_worker_whose_module_was_edited_refuses(tmp_path: Path) -> None:
     """`align` lets the worker import what `normals` uses too; then that is edited, and `normals` is new to it."""
     code = tmp_path / "code"
-    for name in packages():
-        shutil.copytree(ROOT / name, code / name)
+    copy_package(code)
     pipeline = code / "pipeline.yaml"
     pipeline.write_text(
         "stages:\n  capture: {uses: capture}\n  register: {uses: register, from: capture}\n"
@@ -116,12 +115,12 @@ def test_a_living_worker_whose_module_was_edited_refuses(tmp_path: Path) -> None
 
         def run(node: str) -> subprocess.CompletedProcess[str]:
             words = ["--store", str(tmp_path / "store"), "run", node, "--session", "ball", "--scheduler", address]
-            command = [sys.executable, "-m", "cli.main", *words]
+            command = [sys.executable, "-m", "lightstage.cli.main", *words]
             return subprocess.run(command, cwd=code, capture_output=True, text=True, timeout=200)
 
         first = run("align")
         assert first.returncode == 0, first.stderr
-        shared = code / "stages" / "spherical_gradients.py"
+        shared = code / "lightstage" / "kernels" / "normals" / "spherical_gradients.py"
         shared.write_text(shared.read_text() + "\n_EDITED = 1\n")
         second = run("normals")
     assert second.returncode == 1
@@ -214,7 +213,7 @@ def test_a_run_goes_on_without_its_workers_while_that_gets_it_further(
             compute(part, where, on_done)
         raise LostWorkersError("the workers died")
 
-    monkeypatch.setattr(dag.run, "compute", dying)
+    monkeypatch.setattr(dag_run, "compute", dying)
     done = lightstage("run", "stack", "--session", "ball")
     assert done.code == 1
     assert rounds == [21, 14]
@@ -237,7 +236,7 @@ def test_a_run_whose_chunks_never_come_stops(
         compute(graph, where, on_done)
         shutil.rmtree(tmp_path / "store" / "cache" / "blobs")
 
-    monkeypatch.setattr(dag.run, "compute", elsewhere)
+    monkeypatch.setattr(dag_run, "compute", elsewhere)
     done = lightstage("run", "register", "--session", "ball")
     assert done.code == 1
     assert len(rounds) <= 2

@@ -9,10 +9,11 @@ from typing import Any
 
 import pytest
 
-import cli.run
-from cli.run import add_run_options, deciding_options
-from dag.recall import libraries, request_now
-from store.root import Store
+from lightstage.cli import run as cli_run
+from lightstage.cli.run import add_run_options, deciding_options
+from lightstage.dag import recall as dag_recall
+from lightstage.dag.recall import libraries, request_now
+from lightstage.store.root import Store
 from tests.conftest import REPOSITORY, Answer
 
 Lightstage = Callable[..., Answer]
@@ -35,7 +36,7 @@ def while_it_begins(
     monkeypatch: pytest.MonkeyPatch, before: Callable[[], Any], after: Callable[[], Any]
 ) -> Callable[[], None]:
     """Let something happen right before a run reads its files, and be undone right after; returns the end of it."""
-    real = cli.run.plan_for
+    real = cli_run.plan_for
 
     def plan_for(*arguments: Any, **more: Any) -> Any:
         before()
@@ -43,8 +44,8 @@ def while_it_begins(
         after()
         return plan
 
-    monkeypatch.setattr(cli.run, "plan_for", plan_for)
-    return lambda: monkeypatch.setattr(cli.run, "plan_for", real)
+    monkeypatch.setattr(cli_run, "plan_for", plan_for)
+    return lambda: monkeypatch.setattr(cli_run, "plan_for", real)
 
 
 def test_a_binding_that_was_another_while_a_run_began_lends_nothing(
@@ -84,11 +85,10 @@ def test_a_pipeline_that_was_another_while_a_run_began_lends_nothing(
 def test_a_source_that_was_touched_in_between_is_not_remembered(
     lightstage: Lightstage, sphere: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import dag.recall
 
     lightstage("import", sphere)
     with monkeypatch.context() as patch:
-        patch.setattr(dag.recall, "outdated", lambda _: ["stages.register"])
+        patch.setattr(dag_recall, "outdated", lambda _: ["lightstage.stages.register"])
         run(lightstage)
         assert not list((tmp_path / "store" / "cache" / "runs").rglob("*.json"))
     run(lightstage)
@@ -101,7 +101,7 @@ def test_what_was_remembered_is_found_and_notes_of_items_count(
     lightstage("import", sphere)
     run(lightstage)
     with monkeypatch.context() as patch:
-        patch.setattr(cli.run, "plan_for", None)
+        patch.setattr(cli_run, "plan_for", None)
         run(lightstage)  # from the record alone
 
     def key() -> str:
@@ -130,7 +130,7 @@ def test_every_option_of_a_run_decides_but_where_it_is_computed(monkeypatch: pyt
         real(parser)
         parser.add_argument("--flavour", default="plain")
 
-    monkeypatch.setattr(cli.run, "add_run_options", more)
+    monkeypatch.setattr(cli_run, "add_run_options", more)
     assert deciding_options(argparse.Namespace(**plain, flavour="fine"))["flavour"] == "fine"
 
 

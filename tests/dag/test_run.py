@@ -19,9 +19,11 @@ import numpy as np
 import pytest
 import xarray
 
-from store.importer import import_capture
-from store.root import Store
-from store.sessions import read_session
+from lightstage.dag import task as dag_task
+from lightstage.stages import register as register_stage
+from lightstage.store.importer import import_capture
+from lightstage.store.root import Store
+from lightstage.store.sessions import read_session
 from tests.conftest import REPOSITORY, Answer, run_process
 from tests.scenes import one_camera_capture, sphere_capture
 
@@ -222,7 +224,7 @@ def test_killed_at_random_moments_and_run_again_it_is_as_if_undisturbed(tmp_path
     for i in range(10):
         store = shutil.copytree(imported, tmp_path / f"killed{i}", symlinks=True)
         blocks = store / "cache" / "blocks"
-        command = [sys.executable, "-m", "cli.main", "--store", str(store), "run", "--session", "s"]
+        command = [sys.executable, "-m", "lightstage.cli.main", "--store", str(store), "run", "--session", "s"]
         process = subprocess.Popen(command, cwd=REPOSITORY, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         wanted, deadline = generator.randrange(total), time.monotonic() + 60
         while len(list(blocks.rglob("*.json"))) < wanted and process.poll() is None and time.monotonic() < deadline:
@@ -250,7 +252,7 @@ def test_two_runs_at_once_agree(tmp_path: Path) -> None:
     import_capture(folder, alone)
     import_capture(folder, shared)
     assert run_process("run", "--session", "s", store=alone.root).returncode == 0
-    command = [sys.executable, "-m", "cli.main", "--store", str(shared.root), "run", "--session", "s"]
+    command = [sys.executable, "-m", "lightstage.cli.main", "--store", str(shared.root), "run", "--session", "s"]
     processes = [subprocess.Popen(command, cwd=REPOSITORY, stdout=subprocess.DEVNULL) for _ in range(2)]
     assert [process.wait(120) for process in processes] == [0, 0]
     for node, path in groups(shared.root).items():
@@ -287,10 +289,11 @@ def test_a_cached_run_imports_no_stage_no_dask_and_no_zarr(tmp_path: Path, spher
     run_process("import", sphere, store=store)
     assert run_process("run", "--session", "ball", store=store).returncode == 0
     code = (
-        "import sys\nfrom cli.main import main\n"
+        "import sys\nfrom lightstage.cli.main import main\n"
         f"assert main(['--store', {str(store)!r}, 'run', '--session', 'ball', '--json']) == 0\n"
-        "heavy = {'dask', 'zarr', 'numpy', 'numba', 'cv2', 'xarray', 'pydantic', 'stages', 'yaml', 'rich'}\n"
+        "heavy = {'dask', 'zarr', 'numpy', 'numba', 'cv2', 'xarray', 'pydantic', 'yaml', 'rich'}\n"
         "found = heavy & {name.split('.')[0] for name in sys.modules}\n"
+        "found |= {name for name in sys.modules if name.startswith(('lightstage.stages', 'lightstage.kernels'))}\n"
         "assert not found, found\n"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=REPOSITORY, capture_output=True, text=True, timeout=60)
@@ -381,13 +384,12 @@ def test_gc_frees_what_nothing_uses_and_nothing_else(lightstage: Lightstage, bal
 def test_a_kernels_refusal_names_node_and_block(
     lightstage: Lightstage, ball: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import stages.register
-    from dag.stage import StageError
+    from lightstage.dag.stage import StageError
 
     def refuse(*_: Any, **__: Any) -> Any:
         raise StageError("the two cameras disagree")
 
-    monkeypatch.setattr(stages.register, "STAGE", replace(stages.register.STAGE, kernel=refuse))
+    monkeypatch.setattr(register_stage, "STAGE", replace(register_stage.STAGE, kernel=refuse))
     change_picture(ball, "0004_Xc_576nm_CAM1.png")
     lightstage("import", ball)
     done = lightstage("run", "--session", "ball")
@@ -571,10 +573,9 @@ def test_no_light_is_no_normal(lightstage: Lightstage, tmp_path: Path) -> None:
 def test_a_worker_with_other_code_refuses(
     lightstage: Lightstage, ball: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import dag.task
 
-    monkeypatch.setattr(dag.task, "_fit", set())
-    monkeypatch.setattr(dag.task, "stage_parts", lambda *_: {"code": "older"})
+    monkeypatch.setattr(dag_task, "_fit", set())
+    monkeypatch.setattr(dag_task, "stage_parts", lambda *_: {"code": "older"})
     done = lightstage("run", "--session", "ball", "--set", "normals.method=ratio")
     assert done.code == 1
     assert "this process has other code or libraries for the stage normals than the command had" in done.err

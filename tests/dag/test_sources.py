@@ -8,16 +8,17 @@ from pathlib import Path
 
 import pytest
 
-from dag import fingerprint, sources
-from dag.sources import ROOT, outdated, packages, read_sources
-from store.digest import digest_bytes
+from lightstage.dag import fingerprint, sources
+from lightstage.dag.sources import ROOT, outdated, read_sources
+from lightstage.store.digest import digest_bytes
+from tests.package import copy_package
 
 Package = Callable[..., Path]
 
 
 @pytest.fixture
 def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Package]:
-    """A package of ours with a module of this text; returns the module's file."""
+    """A package that counts as ours, with a module of this text; returns the module's file."""
     made: list[str] = []
 
     def make(name: str, text: str) -> Path:
@@ -25,7 +26,7 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Package
         folder.mkdir()
         (folder / "__init__.py").write_text("")
         (folder / "part.py").write_text(text)
-        monkeypatch.setattr(sources._Finder, "ours", sources._Finder.ours | {name})
+        monkeypatch.setattr(sources, "PACKAGE", name)
         monkeypatch.syspath_prepend(str(tmp_path))
         made.append(name)
         return folder / "part.py"
@@ -70,27 +71,22 @@ def test_an_edit_that_leaves_size_and_time_is_executed(package: Package) -> None
 def test_what_is_in_memory_and_not_on_the_disk_is_told(package: Package) -> None:
     path = package("oursthree", "LIMIT = 3\n")
     importlib.import_module("oursthree.part")
-    before = read_sources(path.parent.parent)
+    before = read_sources(path.parent)
     assert outdated(before) == []
     edit(path, "LIMIT = 4\n")
-    now = read_sources(path.parent.parent)
+    now = read_sources(path.parent)
     assert outdated(now) == ["oursthree.part"]
     edit(path, "LIMIT = 3\n")
     # the text is the old one, and yet it was another in between
-    assert read_sources(path.parent.parent).digest == before.digest
-    assert read_sources(path.parent.parent) != before
+    assert read_sources(path.parent).digest == before.digest
+    assert read_sources(path.parent) != before
 
 
 def test_an_edit_of_any_file_in_any_folder_counts(package: Package, tmp_path: Path) -> None:
     """Walked, so that no folder and no kind of file has to be remembered; also files that come and go."""
-    for name in packages():
-        for path in (ROOT / name).rglob("*"):
-            if path.is_file() and "__pycache__" not in path.parts:
-                target = tmp_path / path.relative_to(ROOT)
-                target.parent.mkdir(parents=True, exist_ok=True)
-                target.write_bytes(path.read_bytes())
+    tmp_path = copy_package(tmp_path)
     folders = sorted({path.parent for path in tmp_path.rglob("*") if path.is_file()})
-    assert {tmp_path / "cli", tmp_path / "stages" / "calibration"} < set(folders)
+    assert {tmp_path / "cli", tmp_path / "stages" / "calibration", tmp_path / "kernels" / "normals"} < set(folders)
     whole = read_sources(tmp_path).digest
     for folder in folders:
         kinds = {path.suffix: path for path in sorted(folder.iterdir()) if path.is_file()}
@@ -113,25 +109,12 @@ def test_links_to_folders_are_followed_and_circles_end(tmp_path: Path) -> None:
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "elsewhere" / "data.txt").write_text("x")
     (tmp_path / "ours" / "linked").symlink_to(tmp_path / "elsewhere")
-    assert list(read_sources(tmp_path).digests) == ["ours/__init__.py", "ours/linked/data.txt"]
-
-
-def test_an_installed_distribution_names_its_packages(tmp_path: Path) -> None:
-    for name in ("dag", "stages", "numpy"):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "__init__.py").write_text("")
-    assert packages(tmp_path) == ["dag", "numpy", "stages"]
-    (tmp_path / "lightstage-0.1.0.dist-info").mkdir()
-    record = (
-        "dag/__init__.py,sha256=x,1\nstages/__init__.py,,\nstages/calibration/__init__.py,,\n../bin/lightstage,,\n"
-    )
-    (tmp_path / "lightstage-0.1.0.dist-info" / "RECORD").write_text(record)
-    assert packages(tmp_path) == ["dag", "stages"]
+    assert list(read_sources(tmp_path / "ours").digests) == ["__init__.py", "linked/data.txt"]
 
 
 def test_the_engine_is_of_dag_and_store(package: Package, monkeypatch: pytest.MonkeyPatch) -> None:
     before = sources.engine()
-    for module, text in (("dag.task", b"# another"), ("store.chunks", b"# another")):
+    for module, text in (("lightstage.dag.task", b"# another"), ("lightstage.store.chunks", b"# another")):
         with monkeypatch.context() as patch:
             patch.setitem(sources._executed, module, text)
             assert sources._engine.__wrapped__(0) != before
@@ -145,7 +128,7 @@ def test_a_library_that_nobody_has_spoken_of_is_refused(package: Package) -> Non
 
 
 def test_the_record_is_of_our_modules_as_their_files_stand() -> None:
-    for module in ("dag.plan", "store.records", "cli.main"):
+    for module in ("lightstage.dag.plan", "lightstage.store.records", "lightstage.cli.main"):
         importlib.import_module(module)
-        text = (ROOT / f"{module.replace('.', '/')}.py").read_bytes()
+        text = (ROOT / f"{module.removeprefix('lightstage.').replace('.', '/')}.py").read_bytes()
         assert digest_bytes(sources._executed[module]) == digest_bytes(text)

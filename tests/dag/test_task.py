@@ -11,11 +11,10 @@ import numba
 import numpy as np
 import pytest
 
-import dag.run
-import dag.task
-import stages.normals
-from dag.task import BlockTask, equal_to_rounding, execute
-from store.records import BlockRecord
+from lightstage.dag import run as dag_run
+from lightstage.dag.task import BlockTask, equal_to_rounding, execute
+from lightstage.stages import normals as normals_stage
+from lightstage.store.records import BlockRecord
 from tests.conftest import Answer
 
 Lightstage = Callable[..., Answer]
@@ -37,15 +36,15 @@ def every_task(monkeypatch: pytest.MonkeyPatch, change: Callable[[BlockTask], No
         change(task)
         return execute(task, *above)
 
-    monkeypatch.setattr(dag.run, "execute", changed)
+    monkeypatch.setattr(dag_run, "execute", changed)
 
 
 def normals_kernel(monkeypatch: pytest.MonkeyPatch, around: Callable[..., Any]) -> None:
     """Let `around(kernel, **what it gets)` stand in the place of the kernel of `normals`."""
-    stage = stages.normals.STAGE
+    stage = normals_stage.STAGE
     assert stage.kernel is not None
     kernel = functools.wraps(stage.kernel)(functools.partial(around, stage.kernel))
-    monkeypatch.setattr(stages.normals, "STAGE", replace(stage, kernel=kernel))
+    monkeypatch.setattr(normals_stage, "STAGE", replace(stage, kernel=kernel))
 
 
 def test_another_engine_is_refused(lightstage: Lightstage, ball: Path, monkeypatch: pytest.MonkeyPatch) -> None:

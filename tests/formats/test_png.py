@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from formats.png import encode_png
+from lightstage.formats.png import encode_png
 
 
 def opened(data: bytes) -> Any:

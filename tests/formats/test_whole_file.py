@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from formats.whole_file import whole_file, write_whole
+from lightstage.formats.whole_file import whole_file, write_whole
 
 
 def test_it_takes_its_name_when_it_is_whole(tmp_path: Path) -> None:

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hw.errors import RigError
-from hw.geodesic import light_positions
-from hw.gradients import FULL, levels, weights
+from lightstage.hw.errors import RigError
+from lightstage.hw.geodesic import light_positions
+from lightstage.hw.gradients import FULL, levels, weights
 
 
 @pytest.mark.parametrize(("frequency", "count"), [(1, 12), (2, 42), (3, 92), (4, 162)])

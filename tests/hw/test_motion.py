@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from hw import head, motion
-from hw.errors import RigError
+from lightstage.hw import head, motion
+from lightstage.hw.errors import RigError
 
 EYE = np.array([0.0, 0.0, 890.0])
 MOVING = ("slow", "fast")

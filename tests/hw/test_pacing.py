@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hw.errors import RigError
-from hw.geodesic import light_positions
-from hw.pacing import Flicker, Timing, flicker, starts_s, tracking_rate_hz
-from hw.sequence import cycle, multispectral, static
+from lightstage.hw.errors import RigError
+from lightstage.hw.geodesic import light_positions
+from lightstage.hw.pacing import Flicker, Timing, flicker, starts_s, tracking_rate_hz
+from lightstage.hw.sequence import cycle, multispectral, static
 
 
 def seen(sequence: tuple[str, ...], timing: Timing, **options: object) -> dict[str, Flicker]:

@@ -7,9 +7,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hw import virtual_rig
-from hw.errors import RigError
-from hw.sequence import SETS, Exposure, cycle, minimal, multispectral, parse, period, static, supported, wilson
+from lightstage.hw import virtual_rig
+from lightstage.hw.errors import RigError
+from lightstage.hw.sequence import (
+    SETS,
+    Exposure,
+    cycle,
+    minimal,
+    multispectral,
+    parse,
+    period,
+    static,
+    supported,
+    wilson,
+)
 
 PURE = parse("X Z C Y Xc C Zc Yc C Xc Z C Y X C Z Yc C Xc Zc C Yc X C Z Y C X Zc C Yc Xc C Zc Y C")
 MIXED = parse("X Z C Y Xc C Zc Yc C")

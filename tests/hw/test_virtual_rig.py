@@ -8,13 +8,13 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
-from hw import head, skin
-from hw.errors import RigError
-from hw.gradients import weights
-from hw.sensor import ELECTRONS_PER_COUNT, OFFSET, READ_NOISE_ELECTRONS, Sensor
-from hw.virtual_rig import Shot, capture
-from store.importer import import_capture
-from store.root import Store
+from lightstage.hw import head, skin
+from lightstage.hw.errors import RigError
+from lightstage.hw.gradients import weights
+from lightstage.hw.sensor import ELECTRONS_PER_COUNT, OFFSET, READ_NOISE_ELECTRONS, Sensor
+from lightstage.hw.virtual_rig import Shot, capture
+from lightstage.store.importer import import_capture
+from lightstage.store.root import Store
 
 
 @pytest.fixture(scope="module")

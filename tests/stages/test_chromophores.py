@@ -9,9 +9,9 @@ import scipy.io
 import scipy.optimize
 from numpy.typing import NDArray
 
-from dag.stage import Grid, StageError
-from stages import absorption, skin_layers
-from stages.chromophores import STAGE, ChromophoresParams, chromophores, predicted
+from lightstage.dag.stage import Grid, StageError
+from lightstage.kernels.appearance import absorption, skin_layers
+from lightstage.stages.chromophores import STAGE, ChromophoresParams, chromophores, predicted
 
 NAN = np.nan
 SIX = tuple(zip((407, 434, 445, 497, 576, 655), (17, 17, 20, 16, 10, 15), strict=True))

@@ -5,8 +5,8 @@ from importlib import import_module
 
 import pytest
 
-from dag.stage import Params, Stage
-from stages import TABLE
+from lightstage.dag.stage import Params, Stage
+from lightstage.stages import TABLE
 
 
 @pytest.fixture(params=sorted(TABLE))

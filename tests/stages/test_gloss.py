@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dag.stage import Grid, StageError
-from stages.gloss import _WINDOWS_PX, STAGE, GlossParams, _summed, gloss
-from stages.near_light import Lights
-from stages.pinhole import Pinhole
+from lightstage.dag.stage import Grid, StageError
+from lightstage.kernels.normals.near_light import Lights
+from lightstage.kernels.surface.pinhole import Pinhole
+from lightstage.stages.gloss import _WINDOWS_PX, STAGE, GlossParams, _summed, gloss
 from tests.scenes import LIGHT_MM, STATIC, light_places, near_ball
 
 INDEX, STRENGTH = 1.4, ((1.4 - 1) / (1.4 + 1)) ** 2

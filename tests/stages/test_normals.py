@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from dag.stage import Grid, StageError
-from stages import one_light
-from stages.band_fusion import fuse, noise_model
-from stages.normals import STAGE, Choice, NormalsParams, choose, light_directions, normals, view_vectors
-from stages.spherical_gradients import FILL, GRADIENTS, STEPS, solve, table
+from lightstage.dag.stage import Grid, StageError
+from lightstage.kernels.normals import one_light
+from lightstage.kernels.normals.spherical_gradients import FILL, GRADIENTS, STEPS, solve, table
+from lightstage.kernels.pictures.band_fusion import fuse, noise_model
+from lightstage.stages.normals import STAGE, Choice, NormalsParams, choose, light_directions, normals, view_vectors
 from tests.scenes import STATIC, angle_deg, decoded, ideal_gradient, sphere_normals
 
 TWELVE = [

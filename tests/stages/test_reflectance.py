@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from dag.stage import Grid, StageError
-from stages.pinhole import Pinhole
-from stages.reflectance import STAGE, reflectance, white_radiance
+from lightstage.dag.stage import Grid, StageError
+from lightstage.kernels.surface.pinhole import Pinhole
+from lightstage.stages.reflectance import STAGE, reflectance, white_radiance
 from tests.scenes import LIGHT_MM, light_places, near_ball
 
 NAN = np.nan

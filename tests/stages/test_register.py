@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dag.stage import StageError
-from stages.register import _prepare, register
-from stages.resampling import STEP, reorient, undone_shape, warp
+from lightstage.dag.stage import StageError
+from lightstage.kernels.pictures.resampling import STEP, reorient, undone_shape, warp
+from lightstage.stages.register import _prepare, register
 
 PLAIN = {"rotate": 0, "mirror": False}
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from dag.stage import StageError
-from stages.pinhole import Pinhole
-from stages.shape import BELOW, RIGHT, breaks, shape
+from lightstage.dag.stage import StageError
+from lightstage.kernels.surface.pinhole import Pinhole
+from lightstage.stages.shape import BELOW, RIGHT, breaks, shape
 from tests.scenes import light_places, near_ball
 
 RADIUS_MM = 80.0

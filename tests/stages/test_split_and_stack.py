@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from dag.stage import Grid, StageError
-from stages.split import STAGE as SPLIT
-from stages.split import components, split
-from stages.stack import STAGE as STACK
-from stages.stack import stack
+from lightstage.dag.stage import Grid, StageError
+from lightstage.stages.split import STAGE as SPLIT
+from lightstage.stages.split import components, split
+from lightstage.stages.stack import STAGE as STACK
+from lightstage.stages.stack import stack
 
 NAN = np.nan
 

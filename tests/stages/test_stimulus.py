@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stages.pinhole import Pinhole
-from stages.shading import DistantLight, cast_shadows, parse_lights, shade
-from stages.stimulus import KINDS, StimulusParams, stimulus
+from lightstage.kernels.appearance.shading import DistantLight, cast_shadows, parse_lights, shade
+from lightstage.kernels.surface.pinhole import Pinhole
+from lightstage.stages.stimulus import KINDS, StimulusParams, stimulus
 from tests.conftest import Answer
 
 

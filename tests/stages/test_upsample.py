@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stages.upsample import upsample
+from lightstage.stages.upsample import upsample
 from tests.scenes import Performer, angle_deg, decoded
 
 SHAPE = (20, 24)

@@ -10,11 +10,11 @@ import pytest
 import tifffile
 import yaml
 
-from store.capture import read_capture
-from store.errors import RequestError
-from store.importer import import_capture
-from store.picture import PictureError, decode, linear_from_srgb
-from store.root import Store
+from lightstage.store.capture import read_capture
+from lightstage.store.errors import RequestError
+from lightstage.store.importer import import_capture
+from lightstage.store.picture import PictureError, decode, linear_from_srgb
+from lightstage.store.root import Store
 from tests.scenes import one_camera_capture, write_capture
 
 

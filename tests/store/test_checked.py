@@ -7,9 +7,9 @@ import pytest
 from zarr.abc.store import ByteRequest, OffsetByteRequest, RangeByteRequest, SuffixByteRequest
 from zarr.core.buffer import default_buffer_prototype
 
-from store.checked import CheckedStore
-from store.digest import digest_bytes
-from store.errors import DamagedGroupError
+from lightstage.store.checked import CheckedStore
+from lightstage.store.digest import digest_bytes
+from lightstage.store.errors import DamagedGroupError
 
 DATA = b"0123456789"
 

@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
-from store.chunks import ChunkRef, shuffle_for
-from store.errors import DamagedChunkError
-from store.grid import ArrayTemplate, Coordinate, write_group
-from store.root import Store
+from lightstage.store.chunks import ChunkRef, shuffle_for
+from lightstage.store.errors import DamagedChunkError
+from lightstage.store.grid import ArrayTemplate, Coordinate, write_group
+from lightstage.store.root import Store
 
 dtypes = st.sampled_from(["<u2", "<i2", "<f4", "?"])
 

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from store.digest import digest_bytes
-from store.errors import DamagedChunkError
-from store.files import files_below, put_if_absent, replace
-from store.records import BlockRecord
-from store.root import Store
+from lightstage.store.digest import digest_bytes
+from lightstage.store.errors import DamagedChunkError
+from lightstage.store.files import files_below, put_if_absent, replace
+from lightstage.store.records import BlockRecord
+from lightstage.store.root import Store
 from tests.store.conformance import Place, PlaceConformance
 
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 from pydantic import BaseModel, ConfigDict
 
-from store.document import check, load, nearest, parse, scalar
-from store.errors import RequestError
+from lightstage.store.document import check, load, nearest, parse, scalar
+from lightstage.store.errors import RequestError
 
 
 class Inner(BaseModel):

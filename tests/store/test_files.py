@@ -14,13 +14,13 @@ from pathlib import Path
 import pytest
 import xarray
 
-from store import files
-from store.errors import WorkError
-from store.files import disk_faults_named, link_or_copy, move_new, put_if_absent, replace
-from store.grid import Coordinate, write_group
-from store.importer import import_capture
-from store.root import Store
-from store.verify import verify
+from lightstage.store import files
+from lightstage.store.errors import WorkError
+from lightstage.store.files import disk_faults_named, link_or_copy, move_new, put_if_absent, replace
+from lightstage.store.grid import Coordinate, write_group
+from lightstage.store.importer import import_capture
+from lightstage.store.root import Store
+from lightstage.store.verify import verify
 from tests.conftest import REPOSITORY, Answer
 
 REFUSALS = [errno.EPERM, errno.EXDEV, errno.ENOSYS, errno.ENOTSUP, errno.EINVAL, errno.EMLINK]
@@ -362,7 +362,7 @@ def test_what_a_disk_refuses_is_a_sentence(code: int, said: str, tmp_path: Path)
 
 @contextlib.contextmanager
 def limited(script: str, store: Path) -> Iterator[subprocess.CompletedProcess[str]]:
-    command = f"{script}; exec {sys.executable} -m cli.main --store {store} run register --session ball"
+    command = f"{script}; exec {sys.executable} -m lightstage.cli.main --store {store} run register --session ball"
     yield subprocess.run(
         ["bash", "-c", command], cwd=REPOSITORY, capture_output=True, text=True, timeout=120, check=False
     )

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from store.errors import WorkError
-from store.gc import Freed, gc
-from store.importer import import_capture
-from store.root import Store
-from store.sessions import read_session, remove_session
-from store.verify import verify
+from lightstage.store.errors import WorkError
+from lightstage.store.gc import Freed, gc
+from lightstage.store.importer import import_capture
+from lightstage.store.root import Store
+from lightstage.store.sessions import read_session, remove_session
+from lightstage.store.verify import verify
 from tests.conftest import Answer
 
 Lightstage = Callable[..., Answer]

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from store.errors import RequestError
-from store.importer import import_capture
-from store.intake import FileError, read_regular
-from store.root import Store
+from lightstage.store.errors import RequestError
+from lightstage.store.importer import import_capture
+from lightstage.store.intake import FileError, read_regular
+from lightstage.store.root import Store
 from tests.scenes import one_camera_capture
 
 

@@ -12,17 +12,18 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import xarray as xr
 
-from cli.main import main
-from store import verify as verify_module
-from store.errors import DamagedChunkError, DamagedFileError, DamagedGroupError
-from store.grid import open_dataset
-from store.importer import import_capture
-from store.records import KINDS
-from store.results import current_path
-from store.root import Store
-from store.sessions import read_session
-from store.verify import verify
+from lightstage.cli.main import main
+from lightstage.store import verify as verify_module
+from lightstage.store.errors import DamagedChunkError, DamagedFileError, DamagedGroupError
+from lightstage.store.grid import open_dataset
+from lightstage.store.importer import import_capture
+from lightstage.store.records import KINDS
+from lightstage.store.results import current_path
+from lightstage.store.root import Store
+from lightstage.store.sessions import read_session
+from lightstage.store.verify import verify
 from tests.conftest import Answer
 from tests.scenes import sphere_capture
 
@@ -339,3 +340,23 @@ def test_verify_beside_an_import_mends_nothing_after_the_session_before(ball: Pa
         cv2.imread(str(path), cv2.IMREAD_UNCHANGED) for path in sorted(imports_between.glob("*_576nm_CAM1.png"))
     ]
     np.testing.assert_array_equal(shown, wanted)
+
+
+def test_a_picture_that_was_lost_is_in_its_group_again_when_its_capture_comes_back(
+    tmp_path: Path, lightstage: Lightstage
+) -> None:
+    """Plain xarray reads a chunk that is gone as zeros, so a group that lacks one is not shown a second time."""
+    folder, store = sphere_capture(tmp_path / "ball", size=16), tmp_path / "store"
+    assert lightstage("import", folder).code == 0
+    first, second = sorted(folder.glob("*.png"))[:2]
+    raw = store / "sessions" / "ball" / "raw.zarr"
+    truth = open_dataset(raw)["raw"].values
+    flip(raw / "raw" / "c.0.0.0.0.0")
+    assert lightstage("verify").code == 1
+    pictures = first.read_bytes(), second.read_bytes()
+    for contents in (pictures[::-1], pictures):
+        first.write_bytes(contents[0])
+        second.write_bytes(contents[1])
+        assert lightstage("import", folder).code == 0
+        assert lightstage("verify").code == 0
+    assert np.array_equal(xr.open_zarr(raw)["raw"].values, truth)

@@ -13,7 +13,7 @@ import pytest
 import tifffile
 from numpy.typing import NDArray
 
-from store.picture import PictureError, declared, decode
+from lightstage.store.picture import PictureError, declared, decode
 
 SIZE = (20, 28)
 

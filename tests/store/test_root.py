@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from store import marker
-from store.errors import RequestError
-from store.marker import FORMAT, Marker
-from store.root import Store
-from store.sealed import seal
+from lightstage.store import marker
+from lightstage.store.errors import RequestError
+from lightstage.store.marker import FORMAT, Marker
+from lightstage.store.root import Store
+from lightstage.store.sealed import seal
 from tests.conftest import REPOSITORY
 
 
@@ -90,7 +90,7 @@ def test_a_store_in_a_removed_working_folder_is_a_sentence(tmp_path: Path) -> No
     gone.mkdir()
     code = (
         f"import os, sys; sys.path.insert(0, {str(REPOSITORY)!r}); os.rmdir({str(gone)!r})\n"
-        "from store.root import Store\nfrom store.errors import RequestError\n"
+        "from lightstage.store.root import Store\nfrom lightstage.store.errors import RequestError\n"
         "try: Store('data')\nexcept RequestError as error: print(error)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=gone, capture_output=True, text=True, check=False)

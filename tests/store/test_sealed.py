@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from store.errors import DamagedFileError
-from store.sealed import intact, is_sealed, seal, unseal
+from lightstage.store.errors import DamagedFileError
+from lightstage.store.sealed import intact, is_sealed, seal, unseal
 
 PLAIN = st.dictionaries(
     st.text().filter(lambda key: key != "seal"),

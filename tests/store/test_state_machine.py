@@ -25,9 +25,9 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 from numpy.typing import NDArray
 
-import dag.task
-import stages
-from cli.main import main
+from lightstage import stages
+from lightstage.cli.main import main
+from lightstage.dag import task as dag_task
 from tests.scenes import one_camera_capture
 from tests.store.tiny import PIPELINE, TABLE
 
@@ -85,18 +85,18 @@ class StoreMachine(RuleBasedStateMachine):
 
     def teardown(self) -> None:
         stages.TABLE = self.table
-        dag.task._stores.clear()
+        dag_task._stores.clear()
         shutil.rmtree(self.room)
 
     def command(self, *words: str | Path) -> int:
         """The command as a new process would do it; what fails says so in one sentence."""
-        dag.task._stores.clear()  # what a process remembers of a store
+        dag_task._stores.clear()  # what a process remembers of a store
         out, err = io.StringIO(), io.StringIO()
         try:
             with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
                 code = main(["--store", str(self.store), *map(str, words)])
         finally:
-            dag.task._stores.clear()
+            dag_task._stores.clear()
             gc.collect(0)
         said = out.getvalue() + err.getvalue()
         assert code in (0, 1, 2)

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 import xarray
 
-from store import marker, upgrade
-from store.errors import RequestError, WorkError
-from store.gc import gc
-from store.marker import FORMAT, Marker
-from store.root import Store
-from store.sealed import intact
-from store.sessions import read_session
-from store.verify import verify
+from lightstage.store import marker, upgrade
+from lightstage.store.errors import RequestError, WorkError
+from lightstage.store.gc import gc
+from lightstage.store.marker import FORMAT, Marker
+from lightstage.store.root import Store
+from lightstage.store.sealed import intact
+from lightstage.store.sessions import read_session
+from lightstage.store.verify import verify
 from tests.conftest import Answer
 
 KEPT = Path(__file__).parent.parent / "data" / "store-1.tar.xz"
@@ -139,7 +139,7 @@ def test_two_upgrades_at_once_are_one(old: Path, monkeypatch: pytest.MonkeyPatch
 
 
 def test_a_damaged_marker_is_made_anew_and_all_else_kept(store: Store, sphere: Path) -> None:
-    from store.importer import import_capture
+    from lightstage.store.importer import import_capture
 
     import_capture(sphere, store)
     (store.root / marker.NAME).write_bytes(b'{"seal": "')

@@ -1,7 +1,7 @@
 """Two stages whose numbers anybody can work out: for trials of the store and the engine, not of photometry."""
 
 TABLE = {
-    "capture": "stages.capture",
+    "capture": "lightstage.stages.capture",
     "scaled": "tests.store.tiny.scaled",
     "summed": "tests.store.tiny.summed",
 }

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dag.stage import Arrangement, Grid, Input, Items, Needs, Output, Params, Stage
+from lightstage.dag.stage import Arrangement, Grid, Input, Items, Needs, Output, Params, Stage
 
 
 class ScaledParams(Params):

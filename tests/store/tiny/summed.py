@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dag.stage import Arrangement, Grid, Group, Input, Output, Params, Stage
+from lightstage.dag.stage import Arrangement, Grid, Group, Input, Output, Params, Stage
 
 
 class SummedParams(Params):

@@ -1,0 +1,1 @@
+"""Several faces: brought to one place, mixed, and made equal in what an experiment must not vary."""

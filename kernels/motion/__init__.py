@@ -1,0 +1,1 @@
+"""How a subject moves between pictures, and what lies between two moments."""

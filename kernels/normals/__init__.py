@@ -1,0 +1,1 @@
+"""Surface normals from pictures under known light."""

@@ -1,0 +1,237 @@
+"""Normals with a model of the rig's lights: what `normals` gives for `correct: lights` and beyond.
+
+`near_light.py` has the model, `self_consistent.py` the rounds; this file puts them together for one tracking frame
+and writes what comes out in the form of the stage's outputs.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from lightstage.dag.stage import Items, StageError
+from lightstage.kernels.normals import near_light, self_consistent
+from lightstage.kernels.normals.normal_filter import non_local_means
+from lightstage.kernels.normals.openness import share_of_light
+from lightstage.kernels.normals.spherical_gradients import FILL, STEPS
+from lightstage.kernels.pictures.subject_mask import find_subject, lit
+from lightstage.kernels.surface.pinhole import Pinhole
+
+RIG_MODELS = ("lights", "near", "near+shadows", "full")
+"""The corrections that know this rig's lights; all but the first estimate depth."""
+VISIBILITY_STEPS = 255
+_EXCESS_PX, _POWER_PX = 0.8, 2.0
+"""Blur of the norm's excess, and of its power: its noise must not go into the albedo."""
+_BLURRED_NOISE = 0.3
+"""Variance that noise keeps in that blur; 0.13 if pixels were independent, but pictures were resampled."""
+
+
+class Rig(NamedTuple):
+    """What the corrections know of the rig and the subject."""
+
+    camera: Pinhole | None
+    """None where lights are taken as distant."""
+    lights: near_light.Lights
+    mask: NDArray[np.bool_] | None
+    """(y, x); None: to be found in the pictures."""
+
+
+def solve(
+    bands: Sequence[Mapping[str, NDArray[np.float32]]],
+    rig: Rig,
+    *,
+    model: str,
+    as_one: bool,
+    filtered: str,
+    openness: str = "measured",
+) -> Mapping[str, Any]:
+    """Normals of one tracking frame.
+
+    Args:
+        bands: per band, pictures (y, x) by illumination, radiance, NaN where not valid.
+        rig: the rig and the subject.
+        model: one of RIG_MODELS.
+        as_one: all bands give one map.
+        filtered: none, nlm or surface.
+        openness: of the irradiance, measured or modelled.
+
+    Returns:
+        the outputs of `normals` with a leading band; see there.
+
+    Raises:
+        StageError: nothing is measured, or no subject is found.
+    """
+    measured = near_light.measure(bands)
+    shape = measured.constant.shape[1:]
+    if model == "lights":
+        return _read_out(measured, None, np.zeros((*shape, 3)), rig, as_one=as_one, filtered=filtered)
+    assert rig.camera is not None
+    if not (measured.weight > 0).any():
+        raise StageError("no pixel is measured in all pictures of the set: they are black, or saturated")
+    constant = measured.constant.mean(axis=0)
+    mask = lit(rig.mask, constant) if rig.mask is not None else find_subject(constant)
+    found = self_consistent.solve(measured, mask, rig.camera, rig.lights, model=model)
+    points = rig.camera.points(found.depth)
+    return _read_out(measured, found, points, rig, as_one=as_one, filtered=filtered, openness=openness)
+
+
+def _read_out(
+    measured: near_light.Measured,
+    found: self_consistent.Geometry | None,
+    points: NDArray[np.float64],
+    rig: Rig,
+    *,
+    as_one: bool,
+    filtered: str,
+    openness: str = "modelled",
+) -> Mapping[str, Any]:
+    """The kernel's outputs from what the rounds found; without it, lights are distant."""
+    mask = measured.weight.sum(axis=0) > 0 if found is None else found.mask
+    at, seen = points[mask], None if found is None else found.seen
+    albedo = measured.constant
+    irradiance = np.full(mask.shape, np.nan)
+    one = near_light.fused(measured)
+    irradiance[mask] = near_light.invert(one.vector[0][mask], at, rig.lights, seen).direct
+    if found is not None:
+        measured = found.without_bounces(measured, np.where(mask, irradiance, 1.0))
+        one = near_light.fused(measured)
+        irradiance[mask] = _irradiance(one, mask, at, rig.lights, seen, openness)
+    norms = np.linalg.norm(measured.vector, axis=3) / (2 * np.maximum(measured.constant, 1e-30))
+    wanted = near_light.fused(measured) if as_one else measured
+    normals_, valids = [], []
+    for vector, weight in zip(wanted.vector, wanted.weight, strict=True):
+        valid = mask & (weight > 0)
+        normal = np.full((*mask.shape, 3), np.nan)
+        normal[valid] = near_light.invert(
+            vector[valid], points[valid], rig.lights, None if seen is None else seen[valid[mask]]
+        ).normal
+        if filtered == "surface":
+            normal = np.where(valid[..., None], surface_normals(points, mask), np.nan)
+        if filtered == "nlm":
+            normal = non_local_means(normal, np.where(valid, 1 / np.sqrt(np.maximum(weight, 1e-30)), 0), valid)
+        normals_.append(quantised(normal))
+        valids.append(valid & np.isfinite(normal).all(axis=2))
+    norm = norms
+    if as_one:
+        total = np.maximum(measured.weight.sum(axis=0), 1e-30)
+        albedo, norm = (((measured.weight * a).sum(axis=0) / total)[None] for a in (albedo, norm))
+    valid_ = np.stack(valids)
+    out: dict[str, Any] = {
+        "normal": np.stack(normals_),
+        "albedo": np.where(valid_, albedo, np.nan).astype(np.float32),
+        "norm": np.where(valid_, norm, np.nan).astype(np.float32),
+        "valid": valid_,
+    }
+    if found is not None:
+        out["depth_mm"] = found.depth.astype(np.float32)
+        out["irradiance"] = irradiance.astype(np.float32)
+        out["stats"] = {"distance_mm": found.distance_mm, "distance_found": float(found.distance_found)}
+    if seen is not None:
+        share = np.zeros((seen.shape[1], *mask.shape), np.uint8)
+        share[:, mask] = np.floor(seen.T * VISIBILITY_STEPS + 0.5).astype(np.uint8)
+        out["visibility"] = share
+    return out
+
+
+def _irradiance(
+    one: near_light.Measured,
+    mask: NDArray[np.bool_],
+    at: NDArray[np.float64],
+    lights: near_light.Lights,
+    seen: NDArray[np.float32] | None,
+    openness: str,
+) -> NDArray[np.float64]:
+    """(point,): light that arrives directly, as the found surface has it or, measured, as the norm corrects it."""
+    vector, weight = one.vector[0][mask], one.weight[0][mask]
+    response = near_light.invert(vector, at, lights, seen)
+    if openness == "modelled":
+        return response.direct
+    share = np.ones(len(at))
+    if seen is not None:
+        open_ = near_light.invert(response.vector, at, lights).direct
+        share = np.clip(response.direct / np.maximum(open_, 1e-12), 0, 1)
+    # noise lengthens a vector: by its two components across, squared
+    square = np.einsum("pi,pi->p", vector, vector) - 2 / np.maximum(weight, 1e-12)
+    excess, variance = np.zeros((2, *mask.shape))
+    excess[mask] = np.nan_to_num(np.sqrt(np.maximum(square, 0)) - response.norm)
+    variance[mask] = 1 / np.maximum(weight, 1e-12)
+    excess = _without_noise(excess, variance, mask)
+    return np.asarray(response.direct * share_of_light(share, excess[mask]) / np.maximum(share, 1e-3))
+
+
+def _without_noise(
+    values: NDArray[np.float64], variance: NDArray[np.float64], mask: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """Values (y, x) blurred a little, and shrunk by the share of noise in their power around each pixel."""
+
+    def mean(picture: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
+        inside = cv2.GaussianBlur(mask.astype(np.float64), (0, 0), sigma)
+        blurred = cv2.GaussianBlur(np.where(mask, picture, 0), (0, 0), sigma)
+        return np.asarray(blurred / np.maximum(inside, 1e-6))
+
+    smooth = mean(values, _EXCESS_PX)
+    noise = _BLURRED_NOISE * mean(variance, _POWER_PX)
+    power = mean(smooth**2, _POWER_PX)
+    return smooth * np.maximum(1 - noise / np.maximum(power, 1e-12), 0)
+
+
+def surface_normals(points: NDArray[np.float64], mask: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Normals of a surface given as points (y, x, xyz), (y, x, xyz); NaN off the mask.
+
+    Differences to the neighbours on both sides, or on the one side that is in the mask.
+    """
+    known = np.where(mask[..., None], points, np.nan)
+    slopes = []
+    for axis in (1, 0):
+        step = np.diff(known, axis=axis)
+        edge = np.full_like(np.take(known, [0], axis=axis), np.nan)
+        both = np.stack([np.concatenate([step, edge], axis=axis), np.concatenate([edge, step], axis=axis)])
+        there = np.isfinite(both)
+        slopes.append(np.where(there, both, 0).sum(axis=0) / np.maximum(there.sum(axis=0), 1))
+    # x runs right, y down in the picture: their cross product points away from the camera
+    normal = np.cross(slopes[1], slopes[0])
+    length = np.linalg.norm(normal, axis=2, keepdims=True)
+    return np.asarray(np.where(mask[..., None] & (length > 0), normal / np.maximum(length, 1e-12), np.nan))
+
+
+def quantised(normal: NDArray[np.floating]) -> NDArray[np.int16]:
+    """(y, x, xyz) unit vectors, NaN where there is none, as they are stored: (xyz, y, x) in steps of 1 / STEPS."""
+    known = np.isfinite(normal).all(axis=2, keepdims=True)
+    steps = np.floor(np.where(known, normal, 0) * STEPS + 0.5)
+    return np.ascontiguousarray(np.where(known, steps, FILL).astype(np.int16).transpose(2, 0, 1))
+
+
+def context_of(facts: Mapping[str, Any], items: Items, model: str) -> Mapping[str, Any]:
+    """The part of camera and lights that a model of the rig reads, and the capture's mask."""
+    near = model != "lights"
+    missing = [kind for kind in ("lights", "camera") if kind not in items and (near or kind == "lights")]
+    if missing:
+        raise StageError(
+            f"correct: {model} needs the {' and the '.join(missing)} item; bind one with "
+            "`lightstage calibration use FILE --session S`, or measure it with `lightstage calibrate`"
+        )
+    if model == "full" and "bands" not in items:
+        raise StageError(
+            "correct: full needs the bands item: bounced light is told by the albedo, so radiance must compare "
+            "between bands; measure one with `lightstage calibrate bands`, or set correct: near+shadows"
+        )
+    lens = ("size_px", "K", "distortion", "world_to_camera")
+    return {
+        "camera": {name: items["camera"][name] for name in lens} if near else None,
+        "lights": near_light.Lights.part_of(items["lights"]),
+        "near": near,
+        "mask": facts["mask"] if near else None,
+    }
+
+
+def prepared(context: Mapping[str, Any], shape: tuple[int, int]) -> Rig:
+    """A context of `context_of` in numbers, for pictures of `shape` (rows, columns).
+
+    Raises:
+        StageError: the camera item is of another size, or a light has no place.
+    """
+    mask = None if context["mask"] is None else np.asarray(context["mask"].load()) > 0
+    camera = None if context["camera"] is None else Pinhole.of(context["camera"], shape)
+    return Rig(camera, near_light.Lights.of(context["lights"], near=context["near"]), mask)

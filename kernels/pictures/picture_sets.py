@@ -1,0 +1,163 @@
+"""Which pictures belong together: the sets that a method needs, and the windows of a performance.
+
+The window of a tracking frame (C) are the pictures between the tracking frame before it and the one after it, or
+the ends of the sequence. Of an illumination that stands in it twice the nearest in time counts.
+
+Sources: Ma et al. (2007), Wilson et al. (2010), Dutta (2010) chapters 4 and 5.
+"""
+
+import contextlib
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+from lightstage.dag.stage import StageError
+from lightstage.kernels.normals.spherical_gradients import AXES, GRADIENTS, table
+
+_BY_NOISE = ("difference", "minimal", "ratio", "least_squares")
+
+
+class Choice(NamedTuple):
+    """A method and the pictures that it reads."""
+
+    method: str
+    base: str
+    pictures: tuple[str, ...]
+
+
+def choose(have: Sequence[str], *, method: str = "auto", base: str = "auto", correct: str = "none") -> Choice:
+    """The method for a set of illuminations.
+
+    `auto` takes difference, then minimal, then ratio, then least squares: by noise (shot variance per axis
+    4 r_c : 4 r_a + r_c : ...; design 8), the first that the set supports.
+
+    Raises:
+        StageError: the set does not support what was asked for; says what is missing and what would work.
+    """
+    present = set(have)
+    if base != "auto" and method not in ("auto", "minimal"):
+        raise StageError(f"base: {base} belongs to method: minimal; {method} has none, so set base: auto")
+    if base != "auto":
+        method = "minimal"
+    lights = tuple(name for name in dict.fromkeys(have) if name.startswith("L"))
+    supported = [name for name in _BY_NOISE if _supports(name, base, present)]
+    chosen = (supported[0] if supported else None) if method == "auto" else method
+    if chosen not in supported:
+        works = f"method: {' or '.join(supported)} would work" if supported else "no method works with these"
+        what = "any method" if method == "auto" else method + (f" with base {base}" if base != "auto" else "")
+        raise StageError(
+            f"{what} needs {_needs(method, base)}; the session has {', '.join(dict.fromkeys(have))}; {works}"
+        )
+    if chosen == "least_squares":
+        if correct != "none":
+            raise StageError(
+                f"correct: {correct} belongs to the gradient methods; with least_squares set correct: none"
+            )
+        return Choice(chosen, "", lights)
+    axis = (
+        next(a for a in AXES if base in ("auto", a) and _supports("minimal", a, present))
+        if chosen == "minimal"
+        else ""
+    )
+    missing = [name for name in (*GRADIENTS, "C") if name not in present]
+    if correct == "qp" and missing:
+        raise StageError(
+            f"correct: qp needs {', '.join((*GRADIENTS, 'C'))}; {', '.join(missing)} missing; "
+            f"correct: none works with {chosen}"
+        )
+    wanted = table(str(chosen), axis, have, qp=correct == "qp").pictures
+    return Choice(str(chosen), axis, wanted)
+
+
+def _supports(method: str, base: str, present: set[str]) -> bool:
+    if method == "least_squares":
+        return sum(name.startswith("L") for name in present) >= 3
+    if method == "difference":
+        return present >= set(GRADIENTS)
+    if method == "ratio":
+        return present >= {"X", "Y", "Z", "C"}
+    axes = AXES if base == "auto" else base
+    return any(
+        {a, a + "c"} <= present and all(b in present or b + "c" in present for b in AXES if b != a) for a in axes
+    )
+
+
+def _needs(method: str, base: str) -> str:
+    pair = "the pair of one axis (X Xc, Y Yc or Z Zc)" if base == "auto" else f"{base} and {base}c"
+    minimal = f"{pair} and one gradient of each other axis"
+    needs = {
+        "ratio": "X Y Z C",
+        "difference": "X Y Z Xc Yc Zc",
+        "minimal": minimal,
+        "least_squares": "at least three one-light pictures (L00 ...)",
+    }
+    if method == "auto":
+        return "; or ".join(needs.values())
+    return needs[method]
+
+
+class Window(NamedTuple):
+    """A tracking frame and the pictures around it."""
+
+    frame: int
+    """Its index in the session."""
+    at: dict[str, int]
+    """Illumination -> index of its picture, nearest first; the tracking frame itself is C."""
+
+
+def windows(illumination: Sequence[str]) -> list[Window]:
+    """The window of every tracking frame, in order."""
+    tracking = [i for i, name in enumerate(illumination) if name == "C"]
+    found = []
+    for k, frame in enumerate(tracking):
+        first = tracking[k - 1] + 1 if k else 0
+        last = tracking[k + 1] if k + 1 < len(tracking) else len(illumination)
+        at: dict[str, int] = {}
+        for i in sorted(range(first, last), key=lambda i: abs(i - frame)):
+            at.setdefault(illumination[i], i)
+        found.append(Window(frame, at))
+    return found
+
+
+def chosen_sets(
+    candidates: Sequence[Window], *, method: str, base: str, correct: str, whole: str
+) -> list[tuple[Window, Choice]]:
+    """The windows that hold a full set, and the method for each.
+
+    Args:
+        whole: all illuminations, for the error.
+
+    Raises:
+        StageError: none does; says what is missing and what would work.
+    """
+    found: list[tuple[Window, Choice]] = []
+    for window in candidates:
+        with contextlib.suppress(StageError):
+            found.append((window, choose(list(window.at), method=method, base=base, correct=correct)))
+    if not found:
+        works = [m for m in _BY_NOISE if any(_supports(m, "auto", set(window.at)) for window in candidates)]
+        hint = f"method: {' or '.join(works)} with base: auto would work" if works else "no method works with these"
+        raise StageError(
+            f"{method} needs {_needs(method, base)} between the tracking frames (C) before and after one; "
+            f"the session has {whole}; {hint}"
+        )
+    return found
+
+
+def complement(name: str) -> str:
+    """X -> Xc, Xc -> X."""
+    return name[0] if name.endswith("c") else name + "c"
+
+
+def pairs(names: Sequence[str]) -> list[tuple[int, int]]:
+    """Places of each gradient and its complement."""
+    return [(names.index(axis), names.index(axis + "c")) for axis in AXES if axis in names and axis + "c" in names]
+
+
+def picture_times(facts: Mapping[str, Any]) -> list[float]:
+    """When each picture of a session was taken, in seconds; by the frame rate where the capture does not say."""
+    told = list(facts["time_s"])
+    if all(time is not None and math.isfinite(time) for time in told) and len(set(told)) == len(told):
+        return [float(time) for time in told]
+    rate = facts["frame_rate_hz"] or 1.0
+    return [i / rate for i in range(len(facts["illumination"]))]
