@@ -228,7 +228,6 @@ def _misfits(source: Document, node: Node, nodes: Mapping[str, Node]) -> list[st
         if spec.source >= len(node.above) or node.above[spec.source] not in nodes:
             continue
         upper = nodes[node.above[spec.source]]
-        spec = spec.of(upper.stage.outputs)
         output = upper.stage.outputs.get(spec.array)
         if output is None and spec.optional:
             continue

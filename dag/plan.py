@@ -5,15 +5,16 @@ finds the record of every block whose inputs are known; what is left is what has
 """
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
+from lightstage.dag.code import keep_memory
 from lightstage.dag.fingerprint import block_key, plain_context, recipe, stage_parts
 from lightstage.dag.graph import Graph, Node
 from lightstage.dag.recall import Request, item_digest
-from lightstage.dag.stage import Arrangement, CalibrationPicture, Grid, Group, StageError
+from lightstage.dag.stage import Arrangement, CalibrationPicture, Grid, Group, Name, StageError, refusal
 from lightstage.store.calibration import Item, StoredPicture, get_item, not_valid_for
 from lightstage.store.chunks import ChunkIndex, ChunkRef
 from lightstage.store.digest import SHORT, digest_value
@@ -26,7 +27,9 @@ from lightstage.store.sessions import Session
 
 @dataclass(frozen=True)
 class Piece:
-    """One array handed to a kernel: chunks of blocks above, in C order, and the shape they make."""
+    """One array handed to a kernel: what it is called there, chunks of blocks above in C order, and their shape."""
+
+    name: Name
 
     chunks: tuple[tuple[str, int, str, int], ...]
     """(node above, its block, array, place in the block's chunks)."""
@@ -38,7 +41,7 @@ class Piece:
 
     def key_of(self, values: Sequence[str]) -> list[Any]:
         """What of a piece enters a block's key: its values, and how the kernel gets them."""
-        return [list(values), self.dtype, list(self.shape), self.scale, self.fill]
+        return [self.name, list(values), self.dtype, list(self.shape), self.scale, self.fill]
 
 
 @dataclass(frozen=True)
@@ -70,6 +73,10 @@ class NodePlan:
     recipe: str
     absent: tuple[str, ...]
     """Optional calibration kinds that are not bound."""
+    units: Mapping[str, str]
+    """Of coordinates."""
+    places: Mapping[str, Callable[[int, Mapping[str, Any]], str]]
+    """How an index along a dimension is called."""
 
     @property
     def is_source(self) -> bool:
@@ -88,9 +95,9 @@ class NodePlan:
 
     def coordinates(self) -> dict[str, Coordinate]:
         """The labels of the result."""
-        units = {"band": {"units": "nm"}, "time_s": {"units": "s"}}
         return {
-            name: Coordinate(dims, values, units.get(name, {})) for name, (dims, values) in self.grid.labels.items()
+            name: Coordinate(dims, values, {"units": self.units[name]} if name in self.units else {})
+            for name, (dims, values) in self.grid.labels.items()
         }
 
 
@@ -200,15 +207,8 @@ def make_plan(
     Raises:
         RequestError: a stage refuses the session, or an item does not hold for it; all such, a line each.
     """
-    facts = {
-        **session.facts,
-        "shape": list(session.shape),
-        "mask": _mask(session, store),
-        "light_ids": [light["id"] for light in items["lights"].values["lights"]] if "lights" in items else [],
-        "lights_placed": "lights" in items
-        and all(light["position_mm"] is not None for light in items["lights"].values["lights"]),
-        "items": sorted(items),
-    }
+    plain = _plain_items(items, store)
+    facts = {**session.facts, "shape": list(session.shape), "mask": _mask(session, store), "items": plain}
     nodes: dict[str, NodePlan] = {}
     problems: list[str] = []
     for name in graph.with_all_above(targets):
@@ -219,12 +219,14 @@ def make_plan(
         if problems:
             continue
         try:
-            nodes[name] = _plan_node(
-                node, [nodes[upper] for upper in node.above], facts, _plain_items(items, store)
-            )
-        except StageError as error:
-            problems.append(f"session '{session.name}', {name}: {error}")
+            nodes[name] = _plan_node(node, [nodes[upper] for upper in node.above], facts, plain)
+        except ValueError as error:
+            sentence = refusal(error)
+            if sentence is None:
+                raise
+            problems.append(f"session '{session.name}', {name}: {sentence}")
     raise_all(problems)
+    keep_memory()
     return Plan(graph, session, nodes, items, tuple(targets))
 
 
@@ -278,8 +280,11 @@ def _plan_node(
         chunk = tuple(size if dim in output.whole else 1 for dim, size in zip(dims, shape, strict=True))
         arrays[name] = ArrayTemplate(dims, shape, chunk, output.dtype, output.attrs)
     block_dims = tuple(names.get(dim, dim) for dim in arrangement.blocks or stage.blocks)
+    units = _inherited(stage.units, [upper.units for upper in above])
+    places = _inherited(stage.places, [upper.places for upper in above])
     contexts: dict[str, Mapping[str, Any]] = {}
     blocks = []
+    upper_named = {upper.node.name: upper for upper in above}
     ranges = [range(grid.sizes[dim]) for dim in block_dims]
     for i, index in enumerate(itertools.product(*ranges)):
         labels = _labels(grid, block_dims, index)
@@ -293,15 +298,15 @@ def _plan_node(
         reads = _reads(node, above, grid, block_dims, index, group, arrangement)
         frames = frozenset(
             itertools.chain.from_iterable(
-                next(u for u in above if u.node.name == chunk[0]).blocks[chunk[1]].frames
-                for pieces in reads.values()
-                for piece in pieces
-                for chunk in piece.chunks
+                upper_named[name].blocks[i].frames
+                for name, i in {
+                    chunk[:2] for pieces in reads.values() for piece in pieces for chunk in piece.chunks
+                }
             )
         )
         if stage.is_source:
             frames = frozenset({index[block_dims.index("frame")]})
-        blocks.append(Block(index, _describe(labels, block_dims, index), reads, digest, frames))
+        blocks.append(Block(index, _describe(labels, block_dims, index, places), reads, digest, frames))
     parts = stage_parts(stage, node.module, node.params)
     stage_key = digest_value(parts)
     absent = tuple(kind for kind in stage.calibration if kind not in items)
@@ -316,7 +321,14 @@ def _plan_node(
         stage_key,
         recipe(stage_key, contexts, [upper.recipe for upper in above])[:SHORT],
         absent,
+        units,
+        places,
     )
+
+
+def _inherited(own: Mapping[str, Any], above: Sequence[Mapping[str, Any]]) -> Mapping[str, Any]:
+    """What a stage says of its dimensions and coordinates, and those above it."""
+    return {**{name: value for upper in above for name, value in upper.items()}, **own}
 
 
 def _labels(grid: Grid, dims: Sequence[str], index: Sequence[int]) -> dict[str, Any]:
@@ -324,18 +336,17 @@ def _labels(grid: Grid, dims: Sequence[str], index: Sequence[int]) -> dict[str, 
     return {name: values[place[d[0]]] for name, (d, values) in grid.labels.items() if len(d) == 1 and d[0] in place}
 
 
-def _describe(labels: Mapping[str, Any], dims: Sequence[str], index: Sequence[int]) -> str:
-    words = []
-    for dim, i in zip(dims, index, strict=True):
-        if dim == "frame":
-            words.append(f"frame {i} ({labels['illumination']})")
-        elif dim in labels and dim != "band":
-            words.append(f"{dim} {labels[dim]}")
-        elif dim == "band" and labels.get("band"):
-            words.append(f"{labels['band']:g} nm")
-        elif dim != "band":
-            words.append(f"{dim} {i}")
-    return ", ".join(words)
+def _describe(
+    labels: Mapping[str, Any],
+    dims: Sequence[str],
+    index: Sequence[int],
+    places: Mapping[str, Callable[[int, Mapping[str, Any]], str]],
+) -> str:
+    words = [
+        places[dim](i, labels) if dim in places else f"{dim} {labels.get(dim, i)}"
+        for dim, i in zip(dims, index, strict=True)
+    ]
+    return ", ".join(word for word in words if word)
 
 
 def _reads(
@@ -350,7 +361,6 @@ def _reads(
     reads: dict[str, tuple[Piece, ...]] = {}
     for name, spec in node.stage.inputs.items():
         upper = above[spec.source]
-        spec = spec.of(upper.arrays)
         if spec.array not in upper.arrays:
             if spec.optional:
                 reads[name] = ()
@@ -359,15 +369,17 @@ def _reads(
         array = upper.arrays[spec.array]
         if spec.how == "each":
             here = dict(zip(dims, index, strict=True))
-            chosen: Sequence[Mapping[str, int]] = [{dim: here[dim] for dim in array.dims if dim in here}]
+            chosen: Mapping[Name, Mapping[str, int]] = {"": {dim: here[dim] for dim in array.dims if dim in here}}
         else:
             assert group is not None, f"the stage {node.stage.name} groups, but its arrangement has no groups"
             chosen = group.reads[name]
-        reads[name] = tuple(_piece(upper, spec.array, array, selection) for selection in chosen)
+        reads[name] = tuple(
+            _piece(piece, upper, spec.array, array, selection) for piece, selection in chosen.items()
+        )
     return reads
 
 
-def _piece(upper: NodePlan, name: str, array: ArrayTemplate, selection: Mapping[str, int]) -> Piece:
+def _piece(called: Name, upper: NodePlan, name: str, array: ArrayTemplate, selection: Mapping[str, int]) -> Piece:
     ranges = [
         [selection[dim]] if dim in selection else range(count)
         for dim, count in zip(array.dims, array.grid(), strict=True)
@@ -390,7 +402,7 @@ def _piece(upper: NodePlan, name: str, array: ArrayTemplate, selection: Mapping[
         chunks.append((upper.node.name, block, name, offset))
     shape = tuple(size for dim, size in zip(array.dims, array.shape, strict=True) if dim not in selection)
     scale = array.attrs.get("scale_factor")
-    return Piece(tuple(chunks), array.dtype, array.chunk, shape, scale, array.attrs.get("_FillValue"))
+    return Piece(called, tuple(chunks), array.dtype, array.chunk, shape, scale, array.attrs.get("_FillValue"))
 
 
 def look_up(plan: Plan, store: Store, *, frames: tuple[int, int] | None = None) -> State:

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 from lightstage.dag.places import LostWorkersError, Where, compute
 from lightstage.dag.plan import Plan, State, look_up
 from lightstage.dag.publish import NodeResult, publish_results
-from lightstage.dag.stage import StageError
+from lightstage.dag.stage import refusal
 from lightstage.dag.task import BlockTask, check_store, execute, lend, prepare
 from lightstage.store.errors import DamagedChunkError, RequestError, WorkError
 from lightstage.store.records import BlockRecord
@@ -164,8 +164,11 @@ def _check_contexts(state: State, missing: Mapping[str, Sequence[int]]) -> None:
                 continue
             try:
                 prepare(stage, node.node.module, node.contexts[digest], digest, node.node.params)
-            except StageError as error:
-                problems.append(f"session '{state.plan.session.name}', {name}: {error}")
+            except ValueError as error:
+                sentence = refusal(error)
+                if sentence is None:
+                    raise
+                problems.append(f"session '{state.plan.session.name}', {name}: {sentence}")
     if problems:
         raise RequestError("\n".join(dict.fromkeys(problems)))
 

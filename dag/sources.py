@@ -84,11 +84,25 @@ def source(module: str) -> bytes:
     """
     found = _executed.get(module)
     if found is None:
-        spec = importlib.util.find_spec(module)
-        if spec is None or spec.origin is None:
+        path = module_file(module)
+        if path is None:
             raise ModuleNotFoundError(f"the source of {module} cannot be found, so it cannot be in a key")
-        found = Path(spec.origin).read_bytes()
+        found = path.read_bytes()
     return found
+
+
+def module_file(name: str) -> Path | None:
+    """Where a module's source lies, None where there is none. Python's own finder would import what is around it."""
+    top, *below = name.split(".")
+    spec = importlib.util.find_spec(top)
+    if spec is None:
+        return None
+    for folder in spec.submodule_search_locations or ():
+        plain = Path(folder, *below)
+        for path in (plain.with_suffix(".py") if below else None, plain / "__init__.py"):
+            if path is not None and path.is_file():
+                return path
+    return Path(spec.origin) if not below and spec.origin is not None else None
 
 
 def outdated(sources: Sources) -> list[str]:

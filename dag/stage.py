@@ -1,25 +1,42 @@
 """What a stage says of itself: the contract that each file in `stages/` fills in.
 
-A stage is a pure kernel plus a declaration. Only four kinds of thing reach a kernel: its inputs, the facts
-of the session that it asks for, calibration items, and its parameters; all four are in the block's key.
+A stage is a declaration: what it reads, its parameters, how its blocks map, and the *names* of the functions that
+compute (`package.module:function`). So a plan, `status` and `why` load no numerics; the process that computes does.
+Only four kinds of thing reach a kernel: its inputs, the facts of the session that it asks for, calibration items,
+and its parameters; all four are in the block's key.
 
 Arrays travel in *blocks*. `blocks` names the dimensions of the output along which one task computes one
 index; every other dimension is whole within a task. How a block maps to its inputs:
 
     each    the block of the same index (dimensions that the two share)
     group   a set of input blocks chosen from the labels alone: the illuminations of one capture, the
-            sub-sequence of one tracking frame (`Stage.groups` chooses)
+            sub-sequence of one tracking frame (`Stage.arrange` chooses, and names each piece)
 """
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib import import_module
 from typing import Any, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict
 
 
 class StageError(ValueError):
-    """A kernel or declaration refuses: one sentence that says what was wrong and what would be right."""
+    """A declaration refuses: one sentence that says what was wrong and what would be right.
+
+    Kernels have an error of their own; what has a `sentence` is reported as the stage's refusal.
+    """
+
+    @property
+    def sentence(self) -> str:
+        """What is told to people."""
+        return str(self)
+
+
+def refusal(error: Exception) -> str | None:
+    """The sentence by which a declaration or a kernel refuses; None of an error that is nobody's intention."""
+    sentence = getattr(error, "sentence", None)
+    return sentence if isinstance(sentence, str) else None
 
 
 class Params(BaseModel):
@@ -56,14 +73,8 @@ class Input:
     how: Literal["each", "group"] = "each"
     source: int = 0
     """Which of the nodes in `from`."""
-    instead: "Input | None" = None
-    """What is read where the node above puts out no such array."""
     optional: bool = False
-    """Whether the node above may make no such array; the kernel then gets an empty sequence. For `group`."""
-
-    def of(self, arrays: Collection[str]) -> "Input":
-        """This input, or the one instead, whichever the arrays of the node above hold."""
-        return self.instead if self.instead is not None and self.array not in arrays else self
+    """Whether the node above may make no such array; the kernel then gets no pieces. For `group`."""
 
 
 @dataclass(frozen=True)
@@ -85,13 +96,17 @@ class Needs:
     """What cannot be done without it."""
 
 
+Name = str | int | float | tuple[str | int | float, ...]
+"""What a piece is called: an illumination, a band and an illumination, ..."""
+
+
 @dataclass(frozen=True)
 class Group:
     """One output block of a stage that groups: which input indices it reads, and what they are called."""
 
-    reads: Mapping[str, Sequence[Mapping[str, int]]]
-    """Per input: the pieces that the kernel gets, in order; a piece is the array at these indices (dimension ->
-    index), whole along the others. The kernel gets a sequence that reads a piece when it is asked for it."""
+    reads: Mapping[str, Mapping[Name, Mapping[str, int]]]
+    """Per input: the pieces that the kernel gets, by name; a piece is the array at these indices (dimension ->
+    index), whole along the others. The kernel gets a mapping that reads a piece when it is asked for it."""
     labels: Mapping[str, Any] = field(default_factory=dict)
     """What the kernel is told of this block (goes into `context`)."""
 
@@ -125,7 +140,7 @@ Items = Mapping[str, Mapping[str, Any]]
 
 @dataclass(frozen=True)
 class Result:
-    """A result as `item` and `verdict` read it: one block's arrays."""
+    """A result as `item` and `verdict` read it: one block's arrays. They get those of its fields that they name."""
 
     arrays: Mapping[str, Any]
     labels: Mapping[str, Sequence[Any]]
@@ -148,11 +163,14 @@ class Finding(NamedTuple):
 class Stage:
     """A node type.
 
-    arrange(grids, facts, params) gives the output's grid from the inputs' grids. It sees labels, never pixels.
+    arrange(grids, facts, params) gives the output's grid from the inputs' grids. It sees labels, never pixels;
+    `facts` are the session's, with its `shape`, its `mask`, and `items`, the values of those that are bound.
 
     context(labels, facts, items, params) gives the part of facts and calibration that one block reads: plain
     data and CalibrationPicture. It enters the block's key and nothing else of them does, so it must be as
     small as it can be.
+
+    The others are named, `package.module:function`, and loaded where something is computed:
 
     prepare(**context) turns a context into keyword arguments of the kernel. It is called once per distinct
     context and process, so what is costly and the same for all frames belongs there. Without it the context
@@ -161,6 +179,10 @@ class Stage:
     kernel(**inputs, **prepared, **parameters) returns a mapping of output arrays, and may add `stats`, a
     mapping of numbers that are averaged into the result's attributes, and `warnings`, sentences that whoever runs
     it should read.
+
+    item(**result) gives the calibration item that a result is; an entry that is an array (y, x) is one of its
+    pictures. verdict(**result) gives what somebody who acts on the result should know: pairs of a severity and a
+    sentence. Both get the fields of `Result` that they name.
     """
 
     name: str
@@ -170,17 +192,21 @@ class Stage:
     outputs: Mapping[str, Output]
     blocks: tuple[str, ...]
     arrange: Callable[[Sequence[Grid], Mapping[str, Any], Any], Arrangement]
-    kernel: Callable[..., Mapping[str, Any]] | None = None
+    kernel: str | None = None
     inputs: Mapping[str, Input] = field(default_factory=dict)
     calibration: Mapping[str, Needs] = field(default_factory=dict)
     context: Callable[[Mapping[str, Any], Mapping[str, Any], Items, Any], Mapping[str, Any]] | None = None
-    prepare: Callable[..., Mapping[str, Any]] | None = None
+    prepare: str | None = None
     prepared: tuple[str, ...] = ()
     """The names that `context` (or `prepare`, when there is one) gives to the kernel."""
-    item: Callable[[Result], Mapping[str, Any]] | None = None
-    """The calibration item that a result is; an entry that is an array (y, x) is one of its pictures."""
-    verdict: Callable[[Result], list[Finding]] | None = None
-    """What somebody who acts on the result should know."""
+    item: str | None = None
+    verdict: str | None = None
+    tells: Mapping[str, str] = field(default_factory=dict)
+    """Attributes of the result that a run tells, each with the text that its value stands in: `{:.1f} mm away`."""
+    units: Mapping[str, str] = field(default_factory=dict)
+    """Of coordinates that the stage brings in."""
+    places: Mapping[str, Callable[[int, Mapping[str, Any]], str]] = field(default_factory=dict)
+    """How an index along a dimension that the stage brings in is called, from it and the labels there."""
 
     @property
     def is_source(self) -> bool:
@@ -191,3 +217,16 @@ class Stage:
     def sources(self) -> int:
         """How many nodes `from` must name."""
         return 1 + max((spec.source for spec in self.inputs.values()), default=-1)
+
+    @property
+    def modules(self) -> list[str]:
+        """The modules of the functions that it names."""
+        named = (self.kernel, self.prepare, self.item, self.verdict)
+        return list(dict.fromkeys(name.partition(":")[0] for name in named if name is not None))
+
+
+def function(name: str) -> Callable[..., Any]:
+    """The function of a name `package.module:function`."""
+    module, _, attribute = name.partition(":")
+    found: Callable[..., Any] = getattr(import_module(module), attribute)
+    return found

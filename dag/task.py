@@ -13,7 +13,7 @@ import platform
 import sys
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -26,7 +26,7 @@ from lightstage.compiled import offer
 from lightstage.dag.fingerprint import block_key, stage_parts
 from lightstage.dag.plan import NodePlan, Piece
 from lightstage.dag.sources import engine, generation
-from lightstage.dag.stage import Stage, StageError
+from lightstage.dag.stage import Name, Stage, function, refusal
 from lightstage.store.chunks import ChunkRef
 from lightstage.store.digest import digest_value
 from lightstage.store.errors import WorkError
@@ -118,8 +118,11 @@ def execute(task: BlockTask, *above: BlockRecord) -> BlockRecord:
     began = time.perf_counter()
     try:
         outputs = _call_kernel(task, stage, refs, store)
-    except StageError as error:
-        raise WorkError(f"{task.node}, {task.block}: {error}") from error
+    except Exception as error:
+        sentence = refusal(error)
+        if sentence is None:
+            raise
+        raise WorkError(f"{task.node}, {task.block}: {sentence}") from error
     _fit_for(task)  # a kernel may import more of our code as it goes
     _store(task)
     written, stats, warnings = _write(task, outputs, store)
@@ -185,31 +188,41 @@ def _call_kernel(
     assert stage.kernel is not None
     inputs: dict[str, Any] = {}
     for name, pieces in task.reads.items():
-        loader = Pieces(pieces, refs[name], store)
-        inputs[name] = loader[0] if stage.inputs[name].how == "each" else loader
+        each = stage.inputs[name].how == "each"
+        inputs[name] = read_piece(pieces[0], refs[name][0], store) if each else Pieces(pieces, refs[name], store)
     prepared = prepare(stage, task.stage_module, task.context, task.context_digest, task.params)
-    accepted = inspect.signature(stage.kernel).parameters
+    kernel = function(stage.kernel)
+    accepted = inspect.signature(kernel).parameters
     chosen = {name: value for name, value in task.params if name in accepted and name not in prepared}
-    return stage.kernel(**inputs, **prepared, **chosen)
+    outputs: Mapping[str, Any] = kernel(**inputs, **prepared, **chosen)
+    return outputs
 
 
-class Pieces(Sequence[NDArray[Any]]):
-    """The arrays of a group, each read from the store when it is asked for."""
+class Pieces(Mapping[Name, NDArray[Any]]):
+    """The arrays of a group by name, each read from the store when it is asked for."""
 
     def __init__(self, pieces: Sequence[Piece], refs: Sequence[Sequence[ChunkRef]], store: Store) -> None:
-        self._pieces, self._refs, self._store = pieces, refs, store
+        self._of = {piece.name: (piece, chunks) for piece, chunks in zip(pieces, refs, strict=True)}
+        self._store = store
 
     def __len__(self) -> int:
-        return len(self._pieces)
+        return len(self._of)
 
-    def __getitem__(self, index: Any) -> Any:
-        piece, refs = self._pieces[index], self._refs[index]
-        parts = [self._store.chunks.get(ref, dtype=piece.dtype, shape=piece.chunk_shape) for ref in refs]
-        whole = parts[0].reshape(piece.shape) if len(parts) == 1 else np.stack(parts).reshape(piece.shape)
-        if piece.scale is not None:
-            known = whole != piece.fill
-            whole = np.where(known, whole * np.float32(piece.scale), np.float32(np.nan))
-        return whole
+    def __iter__(self) -> Iterator[Name]:
+        return iter(self._of)
+
+    def __getitem__(self, name: Name) -> NDArray[Any]:
+        return read_piece(*self._of[name], self._store)
+
+
+def read_piece(piece: Piece, refs: Sequence[ChunkRef], store: Store) -> NDArray[Any]:
+    """The array that a kernel gets."""
+    parts = [store.chunks.get(ref, dtype=piece.dtype, shape=piece.chunk_shape) for ref in refs]
+    whole = parts[0].reshape(piece.shape) if len(parts) == 1 else np.stack(parts).reshape(piece.shape)
+    if piece.scale is not None:
+        known = whole != piece.fill
+        whole = np.where(known, whole * np.float32(piece.scale), np.float32(np.nan))
+    return whole
 
 
 def _write(
@@ -245,9 +258,10 @@ def prepare(stage: Stage, module: str, context: Mapping[str, Any], digest: str, 
         if key not in _prepared:
             while len(_prepared) >= _MOST_PREPARED:
                 _prepared.pop(next(iter(_prepared)))
-            accepted = inspect.signature(stage.prepare).parameters
+            preparation = function(stage.prepare)
+            accepted = inspect.signature(preparation).parameters
             chosen = {name: value for name, value in params if name in accepted and name not in context}
-            _prepared[key] = stage.prepare(**{**context, **chosen})
+            _prepared[key] = preparation(**{**context, **chosen})
         return _prepared[key]
 
 

@@ -41,4 +41,9 @@ STAGE = Stage(
     outputs={"raw": Output(("frame", "band", "polarisation", "y", "x"), "uint16")},
     blocks=("frame", "band"),
     arrange=_arrange,
+    units={"band": "nm", "time_s": "s"},
+    places={
+        "frame": lambda i, labels: f"frame {i} ({labels['illumination']})",
+        "band": lambda _, labels: f"{labels['band']:g} nm" if labels["band"] else "",
+    },
 )

@@ -1,19 +1,19 @@
 """normals: photometric surface normals from one set of illuminations.
 
 The gradient methods (ratio, difference, minimal) with their QP correction and their specular form are in
-`spherical_gradients.py`, one light at a time in `one_light.py`, the fusion of bands in `band_fusion.py`. This
-file chooses the method that a session's frames support and says which.
+`kernels/normals/spherical_gradients.py`, one light at a time in `one_light.py` beside it. This file chooses the
+method that a session's frames support and says which.
 
 `correct` takes out what the methods neglect. `lights` inverts the response of this rig with its lights taken as
 distant; `near`, `near+shadows` and `full` (with bounced light) find depth and visibility together with the
 normals (`rig_normals.py`, `self_consistent.py`) and give them as results of their own.
 
 A static capture gives one normal map. A performance gives one at every tracking frame (C) whose window,
-between the tracking frames before and after it, holds a full set. It reads the aligned pictures, or, from `stack`,
-the pictures as they are.
+between the tracking frames before and after it, holds a full set.
 
-Must have run before: align or stack. Limits: without `correct` lights are taken as distant and unoccluded, so near
-light, shadows and inter-reflection stay in the result (docs/accuracy.md measures them).
+Must have run before: align (which passes a still subject's pictures on as they are). Limits: without `correct`
+lights are taken as distant and unoccluded, so near light, shadows and inter-reflection stay in the result
+(docs/accuracy.md measures them).
 
 Sources: Ma et al. (2007), Wilson et al. (2010), Dutta (2010) chapter 4, Woodham (1980).
 """
@@ -21,18 +21,15 @@ Sources: Ma et al. (2007), Wilson et al. (2010), Dutta (2010) chapter 4, Woodham
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
-import cv2
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from lightstage.dag.stage import Arrangement, Grid, Group, Input, Items, Needs, Output, Params, Stage, StageError
-from lightstage.kernels.normals import one_light, rig_normals, spherical_gradients
-from lightstage.kernels.normals.normal_filter import non_local_means
-from lightstage.kernels.normals.rig_normals import RIG_MODELS, VISIBILITY_STEPS
-from lightstage.kernels.normals.spherical_gradients import FILL, STEPS, table
-from lightstage.kernels.pictures.band_fusion import fuse as fuse_bands
-from lightstage.kernels.pictures.picture_sets import Choice, Window, choose, chosen_sets, windows
+from lightstage.kernels.encodings import NORMAL_FILL, NORMAL_STEPS, VISIBILITY_STEPS
+from lightstage.kernels.items import lens_of, lights_of, lights_placed
+from lightstage.kernels.pictures.picture_sets import Choice, Window, choose, chosen_sets
+
+RIG_MODELS = ("lights", "near", "near+shadows", "full")
+"""The corrections that know this rig's lights; all but the first estimate depth."""
 
 
 class NormalsParams(Params):
@@ -62,133 +59,6 @@ class NormalsParams(Params):
     fuse: Literal["none", "bands"] = Field("none", description="bands: one map from all bands, weighted by noise")
 
 
-def normals(
-    radiance: Sequence[NDArray[np.float32]],
-    *,
-    choice: Choice,
-    names: Sequence[str],
-    diffuse_constant: bool,
-    lights: NDArray[np.float64] | None,
-    view: NDArray[np.float32] | None,
-    rig: rig_normals.Rig | None = None,
-    correct: str = "none",
-    fuse: str = "none",
-    filter: str = "none",
-    openness: str = "measured",
-) -> Mapping[str, Any]:
-    """Normals of one tracking frame.
-
-    Args:
-        radiance: pictures (y, x), NaN where not valid: per band, the pictures of `names`; after the last
-            band, when `diffuse_constant`, the diffuse component's constant picture of each band.
-        choice: the method.
-        names: the illuminations of one band's pictures.
-        diffuse_constant: whether the albedo is read instead of being the method's own r_c.
-        lights: (light, xyz) in the order of `names`, for least_squares.
-        view: (xyz, y, x) unit vectors to the camera, for specular pictures.
-        rig: what the corrections of RIG_MODELS need.
-        correct: none, qp, or one of RIG_MODELS.
-        fuse: with a rig model, whether all bands give one map (bands) or one each (none).
-        filter: none, nlm or surface.
-        openness: with a rig model, measured or modelled.
-
-    Returns:
-        `normal` (xyz, y, x) int16 in steps of 1 / STEPS; `albedo` and `norm` (y, x) float32, NaN where not
-        valid; `valid` (y, x). With a rig model all have a leading band, and `depth_mm`, `irradiance` (y, x) and
-        `visibility` (light, y, x) come with them as far as the model has them.
-    """
-    count = len(names)
-    bands = len(radiance) // (count + int(diffuse_constant))
-    if rig is not None:
-        by_band = [{name: radiance[b * count + i] for i, name in enumerate(names)} for b in range(bands)]
-        return rig_normals.solve(
-            by_band, rig, model=correct, as_one=fuse == "bands", filtered=filter, openness=openness
-        )
-    groups = [[radiance[b * count + i] for i in range(count)] for b in range(bands)] if bands > 1 else None
-    pictures: Sequence[NDArray[np.float32]] = fuse_bands(groups, names) if groups else _Head(radiance, count)
-    if choice.method == "least_squares":
-        assert lights is not None
-        result = one_light.solve(pictures, lights)
-    else:
-        method = table(choice.method, choice.base, names, qp=correct == "qp")
-        at_hand = [pictures[list(names).index(name)] for name in method.pictures]
-        result = spherical_gradients.solve(at_hand, method, view=view)
-    albedo = result.constant
-    if diffuse_constant:
-        constants = [[radiance[bands * count + b]] for b in range(bands)]
-        albedo = fuse_bands(constants, ["C"])[0] if bands > 1 else np.asarray(constants[0][0])
-        albedo = np.where(result.valid, albedo, np.float32(np.nan))
-    normal = result.normal
-    if filter == "nlm":
-        unit = np.where(normal == FILL, np.nan, normal / STEPS).transpose(1, 2, 0)
-        normal = rig_normals.quantised(non_local_means(unit, 1 / np.sqrt(np.maximum(albedo, 1e-12)), result.valid))
-    return {"normal": normal, "albedo": albedo, "norm": result.norm, "valid": result.valid}
-
-
-class _Head(Sequence[NDArray[np.float32]]):
-    """The first pictures of a sequence, still read one at a time."""
-
-    def __init__(self, pictures: Sequence[NDArray[np.float32]], count: int) -> None:
-        self._pictures, self._count = pictures, count
-
-    def __len__(self) -> int:
-        return self._count
-
-    def __getitem__(self, index: Any) -> Any:
-        if not 0 <= index < self._count:
-            raise IndexError(index)
-        return self._pictures[index]
-
-
-def view_vectors(camera: Mapping[str, Any], shape: tuple[int, int]) -> NDArray[np.float32]:
-    """Unit vectors from the seen points to the camera, world frame, (xyz, y, x).
-
-    A point's distance does not matter: every point of a pixel's ray sees the camera in the same direction.
-
-    Raises:
-        StageError: the camera item is of another picture size.
-    """
-    width, height = camera["size_px"]
-    if (height, width) != tuple(shape):
-        raise StageError(f"the camera item is for {width} x {height}; the pictures are {shape[1]} x {shape[0]}")
-    y, x = np.mgrid[0:height, 0:width].astype(np.float64)
-    matrix, distortion = np.asarray(camera["K"], float), np.asarray(camera["distortion"], float)
-    points = np.stack([x, y], axis=-1).reshape(-1, 1, 2)
-    rays = cv2.undistortPoints(points, matrix, distortion).reshape(height, width, 2)
-    rays = np.concatenate([rays, np.ones((height, width, 1))], axis=2)
-    rotation = np.asarray(camera["world_to_camera"]["R"], float)
-    world = -rays @ rotation  # R^T applied to each ray, turned round
-    world /= np.linalg.norm(world, axis=2, keepdims=True)
-    return np.ascontiguousarray(np.moveaxis(world, 2, 0), dtype=np.float32)
-
-
-def light_directions(item: Mapping[str, Any], names: Sequence[str]) -> NDArray[np.float64]:
-    """Directions times strength at the stage's centre, (light, xyz), for illuminations L00, L01, ...
-
-    A light with a position falls off with its squared distance, relative to the mean of all.
-
-    Raises:
-        StageError: a light is not in the item, or all lie in one plane with the centre.
-    """
-    by_number = {_number(light["id"]): light for light in item["lights"]}
-    missing = [name for name in names if _number(name) not in by_number]
-    if missing:
-        raise StageError(f"the lights item has no {', '.join(missing)} (it has {len(by_number)} lights)")
-    distances = [np.linalg.norm(x["position_mm"]) for x in item["lights"] if x["position_mm"] is not None]
-    usual = float(np.mean(distances)) if distances else 1.0
-    rows = []
-    for name in names:
-        light = by_number[_number(name)]
-        place = np.asarray(light["position_mm"] if light["position_mm"] is not None else light["direction"], float)
-        length = float(np.linalg.norm(place))
-        fall_off = (usual / length) ** 2 if light["position_mm"] is not None else 1.0
-        rows.append(place / length * light["power"] * fall_off)
-    lights = np.stack(rows)
-    if np.linalg.matrix_rank(lights, tol=1e-3) < 3:
-        raise StageError("the lights lie in one plane; least_squares needs three that do not")
-    return lights
-
-
 def _number(name: str) -> int | str:
     digits = name.removeprefix("L")
     return int(digits) if digits.isdigit() else name
@@ -201,11 +71,10 @@ def _context(
     camera = lights = rig = None
     correct = labels["correct"]
     if correct in RIG_MODELS:
-        rig = rig_normals.context_of(facts, items, correct)
+        rig = _rig(facts, items, correct)
     if params.component == "specular" and "camera" in items:
-        names = ("size_px", "K", "distortion", "world_to_camera")
-        camera = {name: items["camera"][name] for name in names}
-        camera["world_to_camera"] = {"R": camera["world_to_camera"]["R"]}
+        lens = lens_of(items["camera"])
+        camera = {**lens, "world_to_camera": {"R": lens["world_to_camera"]["R"]}}
     if choice[0] == "least_squares":
         if "lights" not in items:
             raise StageError(
@@ -213,7 +82,7 @@ def _context(
                 "`lightstage calibration use FILE --session S`"
             )
         fields = ("position_mm", "direction", "power")
-        wanted = {_number(name) for name in labels["names"]}
+        wanted = {_number(name) for name in choice[2]}
         lights = {
             "lights": [
                 {"id": light["id"], **{k: light[k] for k in fields}}
@@ -223,8 +92,6 @@ def _context(
         }
     return {
         "choice": choice,
-        "names": labels["names"],
-        "diffuse_constant": labels["diffuse_constant"],
         "specular": params.component == "specular",
         "shape": labels["shape"],
         "camera": camera,
@@ -234,35 +101,25 @@ def _context(
     }
 
 
-def _prepare(
-    *,
-    choice: Sequence[Any],
-    names: Sequence[str],
-    diffuse_constant: bool,
-    specular: bool,
-    shape: Sequence[int],
-    camera: Mapping[str, Any] | None,
-    lights: Mapping[str, Any] | None,
-    rig: Mapping[str, Any] | None,
-    correct: str,
-) -> Mapping[str, Any]:
-    view = known = None
-    if rig is not None:
-        known = rig_normals.prepared(rig, (int(shape[0]), int(shape[1])))
-    if specular:
-        size = (int(shape[0]), int(shape[1]))
-        view = np.zeros((3, *size), np.float32)
-        view[2] = 1
-        if camera is not None:
-            view = view_vectors(camera, size)
+def _rig(facts: Mapping[str, Any], items: Items, model: str) -> Mapping[str, Any]:
+    """The part of camera and lights that a model of the rig reads, and the capture's mask."""
+    near = model != "lights"
+    missing = [kind for kind in ("lights", "camera") if kind not in items and (near or kind == "lights")]
+    if missing:
+        raise StageError(
+            f"correct: {model} needs the {' and the '.join(missing)} item; bind one with "
+            "`lightstage calibration use FILE --session S`, or measure it with `lightstage calibrate`"
+        )
+    if model == "full" and "bands" not in items:
+        raise StageError(
+            "correct: full needs the bands item: bounced light is told by the albedo, so radiance must compare "
+            "between bands; measure one with `lightstage calibrate bands`, or set correct: near+shadows"
+        )
     return {
-        "choice": Choice(choice[0], choice[1], tuple(choice[2])),
-        "names": tuple(names),
-        "diffuse_constant": diffuse_constant,
-        "lights": None if lights is None else light_directions(lights, names),
-        "view": view,
-        "rig": known,
-        "correct": correct,
+        "camera": lens_of(items["camera"]) if near else None,
+        "lights": lights_of(items["lights"]),
+        "near": near,
+        "mask": facts["mask"] if near else None,
     }
 
 
@@ -270,37 +127,23 @@ Places = dict[str, dict[str, int]]
 """Illumination -> where its picture is in the node above: dimension -> index."""
 
 
-def _sets(above: Grid, facts: Mapping[str, Any], params: NormalsParams) -> list[tuple[int, Choice, Places]]:
+def _sets(aligned: Grid, facts: Mapping[str, Any], params: NormalsParams) -> list[tuple[int, Choice, Places]]:
     """Per tracking frame: its index in the session, the method, and where each picture is."""
     correct = "none" if params.correct == "auto" else params.correct
     ask = {"method": params.method, "base": params.base, "correct": correct}
     if facts["frame_rate_hz"] is None:
-        if "member" in above.sizes:
-            have = list(above.along("illumination")[0])
-            place = {name: {"tracking": 0, "member": i} for i, name in enumerate(have)}
-            frame = above.along("tracking")[0]
-        else:
-            have = list(above.along("illumination"))
-            place = {name: {"illumination": i} for i, name in enumerate(have)}
-            frame = above.along("frame")[have.index("C") if "C" in have else 0]
-        return [(frame, choose(have, **ask), place)]
-    if "member" in above.sizes:
-        where, candidates = {}, []
-        rows = zip(above.along("tracking"), above.along("frame"), above.along("illumination"), strict=True)
-        for k, (tracking, frames, names) in enumerate(rows):
-            at = {name: m for m, name in enumerate(names) if name not in ("", "C") or frames[m] == tracking}
-            at.pop("", None)
-            candidates.append(Window(tracking, at))
-            where[tracking] = {name: {"tracking": k, "member": m} for name, m in at.items()}
-    else:
-        candidates = windows(list(above.along("illumination")))
-        where = {w.frame: {name: {"frame": i} for name, i in w.at.items()} for w in candidates}
-    names = (
-        [name for window in candidates for name in window.at]
-        if "member" in above.sizes
-        else list(above.along("illumination"))
-    )
-    whole = f"{' '.join(names[:24])} ({len(names)} pictures)"
+        have = list(aligned.along("illumination")[0])
+        place = {name: {"tracking": 0, "member": i} for i, name in enumerate(have)}
+        return [(aligned.along("tracking")[0], choose(have, **ask), place)]
+    where, candidates = {}, []
+    rows = zip(aligned.along("tracking"), aligned.along("frame"), aligned.along("illumination"), strict=True)
+    for k, (tracking, frames, names) in enumerate(rows):
+        at = {name: m for m, name in enumerate(names) if name not in ("", "C") or frames[m] == tracking}
+        at.pop("", None)
+        candidates.append(Window(tracking, at))
+        where[tracking] = {name: {"tracking": k, "member": m} for name, m in at.items()}
+    shown = [name for window in candidates for name in window.at]
+    whole = f"{' '.join(shown[:24])} ({len(shown)} pictures)"
     sets = chosen_sets(candidates, **ask, whole=whole)
     return [(window.frame, choice, where[window.frame]) for window, choice in sets]
 
@@ -309,28 +152,25 @@ def _supported(sets: Sequence[tuple[int, Choice, Places]], facts: Mapping[str, A
     """What `correct: auto` is: the best model of the rig that the bound items and the pictures support."""
     if component == "specular" or any(choice.method == "least_squares" for _, choice, _ in sets):
         return "none"
-    if not facts["lights_placed"] or "camera" not in facts["items"]:
+    items = facts["items"]
+    if "camera" not in items or "lights" not in items or not lights_placed(items["lights"]):
         return "none"
-    return "full" if "bands" in facts["items"] else "near+shadows"
-
-
-def _frames(above: Grid) -> Sequence[int]:
-    return list(above.along("tracking" if "member" in above.sizes else "frame"))
+    return "full" if "bands" in items else "near+shadows"
 
 
 def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: NormalsParams) -> Arrangement:
-    (stacked,) = grids
-    components = list(stacked.along("component"))
+    (aligned,) = grids
+    components = list(aligned.along("component"))
     notes: dict[str, Any] = {}
     component: str = params.component
     if component not in components:
         if component == "specular" or "total" not in components:
-            why = stacked.attrs.get("cannot_be_made", f"it has {', '.join(components)}")
+            why = aligned.attrs.get("cannot_be_made", f"it has {', '.join(components)}")
             raise StageError(f"component: {component} is not in this session ({why})")
         component = "total"
         notes["note"] = "the capture cannot be split: normals are of the total light"
-    sets = _sets(stacked, facts, params)
-    bands = list(stacked.along("band"))
+    sets = _sets(aligned, facts, params)
+    bands = list(aligned.along("band"))
     fused = params.fuse == "bands" and len(bands) > 1
     correct = _supported(sets, facts, component) if params.correct == "auto" else params.correct
     modelled = correct in RIG_MODELS
@@ -343,7 +183,7 @@ def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: NormalsPar
         )
     if params.filter == "surface" and correct not in RIG_MODELS[1:]:
         raise StageError("filter: surface needs a depth; set correct: near, near+shadows or full")
-    height, width = stacked.sizes["y"], stacked.sizes["x"]
+    height, width = aligned.sizes["y"], aligned.sizes["x"]
     groups = []
     for _, choice, place in sets:
         if component == "specular" and choice.method == "least_squares":
@@ -351,21 +191,20 @@ def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: NormalsPar
         for b in [list(range(len(bands)))] if fused or modelled else [[b] for b in range(len(bands))]:
             extra = component == "specular" and "C" in place
             seen = components.index(component)
-            pieces = [{**place[name], "band": i, "component": seen} for i in b for name in choice.pictures]
-            if extra:
-                pieces += [{**place["C"], "band": i, "component": components.index("diffuse")} for i in b]
-            groups.append(
-                Group(
-                    {"radiance": pieces},
-                    {
-                        "choice": [choice.method, choice.base, list(choice.pictures)],
-                        "names": list(choice.pictures),
-                        "diffuse_constant": extra,
-                        "shape": [height, width],
-                        "correct": correct,
-                    },
-                )
-            )
+            pictures = {
+                (bands[i], name): {**place[name], "band": i, "component": seen}
+                for i in b
+                for name in choice.pictures
+            }
+            diffuse = {
+                bands[i]: {**place["C"], "band": i, "component": components.index("diffuse")} for i in b if extra
+            }
+            told = {
+                "choice": [choice.method, choice.base, list(choice.pictures)],
+                "shape": [height, width],
+                "correct": correct,
+            }
+            groups.append(Group({"radiance": pictures, "constant": diffuse}, told))
     sizes = {"tracking": len(sets), "band": 1 if fused else len(bands), "xyz": 3, "y": height, "x": width}
     labels: dict[str, tuple[tuple[str, ...], Sequence[Any]]] = {
         "tracking": (("tracking",), [frame for frame, _, _ in sets]),
@@ -375,12 +214,13 @@ def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: NormalsPar
     outputs = {"normal", "albedo", "norm", "valid"}
     if modelled and correct != "lights":
         outputs |= {"depth_mm", "irradiance"}
-    if correct in ("near+shadows", "full") and facts["light_ids"]:
+    ids = [light["id"] for light in facts["items"]["lights"]["lights"]] if "lights" in facts["items"] else []
+    if correct in ("near+shadows", "full") and ids:
         outputs |= {"visibility"}
-        sizes["light"] = len(facts["light_ids"])
-        labels["light"] = (("light",), facts["light_ids"])
-    if "time_s" in stacked.labels:
-        when = dict(zip(_frames(stacked), stacked.along("time_s"), strict=True))
+        sizes["light"] = len(ids)
+        labels["light"] = (("light",), ids)
+    if "time_s" in aligned.labels:
+        when = dict(zip(aligned.along("tracking"), aligned.along("time_s"), strict=True))
         labels["time_s"] = (("tracking",), [when[frame] for frame, _, _ in sets])
     used = sorted({choice.method for _, choice, _ in sets})
     attrs = {
@@ -402,19 +242,13 @@ def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: NormalsPar
     )
 
 
+_ALIGNED = Input("aligned", ("tracking", "member", "band", "component", "y", "x"), "group")
 STAGE = Stage(
     name="normals",
     version=1,
     summary="surface normals",
     params=NormalsParams,
-    inputs={
-        "radiance": Input(
-            "aligned",
-            ("tracking", "member", "band", "component", "y", "x"),
-            "group",
-            instead=Input("radiance", ("illumination|frame", "band", "component", "y", "x"), "group"),
-        )
-    },
+    inputs={"radiance": _ALIGNED, "constant": _ALIGNED},
     calibration={
         "camera": Needs(
             why="specular normals take (0, 0, 1) as the view direction everywhere; no depth can be estimated"
@@ -426,7 +260,7 @@ STAGE = Stage(
             ("tracking", "band", "xyz", "y", "x"),
             "int16",
             whole=("xyz", "y", "x"),
-            attrs={"scale_factor": 1 / STEPS, "_FillValue": FILL, "units": "unit vector"},
+            attrs={"scale_factor": 1 / NORMAL_STEPS, "_FillValue": NORMAL_FILL, "units": "unit vector"},
         ),
         "albedo": Output(("tracking", "band", "y", "x"), "float32", attrs={"units": "radiance"}),
         "norm": Output(("tracking", "band", "y", "x"), "float32", attrs={"units": "1"}),
@@ -455,7 +289,8 @@ STAGE = Stage(
     blocks=("tracking", "band"),
     arrange=_arrange,
     context=_context,
-    prepare=_prepare,
-    prepared=("choice", "names", "diffuse_constant", "lights", "view", "rig", "correct"),
-    kernel=normals,
+    prepare="lightstage.kernels.normals.methods:prepare",
+    prepared=("choice", "lights", "view", "rig", "correct"),
+    kernel="lightstage.kernels.normals.methods:normals",
+    tells={"method": "method: {}", "note": "note: {}", "distance_mm": "distance: {:.0f} mm"},
 )

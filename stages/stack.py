@@ -12,59 +12,12 @@ Must have run before: split. Source: Dutta (2010) 3.3.
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-from numba import njit
-from numpy.typing import NDArray
-
 from lightstage.dag.stage import Arrangement, Grid, Group, Input, Items, Needs, Output, Params, Stage, StageError
-
-KEPT_BITS = 16
-"""Of the mantissa's 23: a relative step of 1.5e-5, as fine at 256 counts as the counts that it is made of (Kloewer
-et al. 2021, doi:10.1038/s43588-021-00156-2). Random digits cost half as much again to store."""
-_HALF_BIT = np.uint32(1 << (22 - KEPT_BITS))
-_MASK = np.uint32(0xFFFFFFFF ^ ((1 << (23 - KEPT_BITS)) - 1))
+from lightstage.kernels.encodings import RADIANCE_BITS
 
 
 class StackParams(Params):
     """Nothing to choose."""
-
-
-def stack(signal: Sequence[NDArray[np.float32]], *, counts_per_radiance: float) -> Mapping[str, Any]:
-    """Average the pictures of one illumination and band, and scale them to radiance.
-
-    Args:
-        signal: pictures (component, y, x), counts; NaN where not valid.
-        counts_per_radiance: exposure x transmission x source x intensity.
-
-    Returns:
-        `radiance` (component, y, x) float32. A point that is not valid in one of the pictures is the mean of
-        the others; NaN where none is valid.
-    """
-    scale = np.float32(1 / counts_per_radiance)
-    if len(signal) == 1:
-        return {"radiance": _rounded(signal[0] * scale)}
-    total = np.zeros(signal[0].shape, np.float32)
-    count = np.zeros(signal[0].shape, np.float32)
-    for picture in signal:
-        seen = picture == picture
-        np.add(total, picture, out=total, where=seen)
-        count += seen
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return {"radiance": _rounded((total / count * scale).astype(np.float32))}
-
-
-@njit(nogil=True, cache=True)
-def _rounded(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Round to KEPT_BITS of the mantissa, halves up; NaN stays NaN."""
-    out = np.empty_like(values)
-    source, target = values.reshape(-1), out.reshape(-1)
-    bits, rounded = source.view(np.uint32), target.view(np.uint32)
-    for i in range(source.size):
-        if source[i] == source[i]:
-            rounded[i] = (bits[i] + _HALF_BIT) & _MASK
-        else:
-            target[i] = np.float32(np.nan)
-    return out
 
 
 def _context(
@@ -107,7 +60,7 @@ def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: StackParam
         labels["time_s"] = parts.labels["time_s"]
     groups = tuple(
         Group(
-            {"signal": [{"frame": i, "band": b} for i in members]},
+            {"signal": {i: {"frame": i, "band": b} for i in members}},
             {"illumination": illumination[members[0]], "band": band},
         )
         for members in frames
@@ -128,12 +81,12 @@ STAGE = Stage(
         "radiance": Output(
             ("illumination|frame", "band", "component", "y", "x"),
             "float32",
-            attrs={"units": "radiance", "mantissa_bits": KEPT_BITS},
+            attrs={"units": "radiance", "mantissa_bits": RADIANCE_BITS},
         )
     },
     blocks=("illumination|frame", "band"),
     arrange=_arrange,
     context=_context,
     prepared=("counts_per_radiance",),
-    kernel=stack,
+    kernel="lightstage.kernels.pictures.radiance:stack",
 )

@@ -30,7 +30,7 @@ from lightstage.kernels.motion.flow_warp import Interpolation, unit
 from lightstage.kernels.motion.in_between import Side, blend, carry, nearness
 from lightstage.kernels.motion.joint_flow import subject_of
 from lightstage.kernels.normals.rig_normals import quantised
-from lightstage.kernels.normals.spherical_gradients import FILL, STEPS
+from lightstage.kernels.encodings import NORMAL_FILL, NORMAL_STEPS
 from lightstage.kernels.pictures.picture_sets import picture_times
 
 Image = NDArray[np.float32]
@@ -173,7 +173,7 @@ STAGE = Stage(
             ("frame", "xyz", "y", "x"),
             "int16",
             whole=("xyz", "y", "x"),
-            attrs={"scale_factor": 1 / STEPS, "_FillValue": FILL, "units": "unit vector"},
+            attrs={"scale_factor": 1 / NORMAL_STEPS, "_FillValue": NORMAL_FILL, "units": "unit vector"},
         ),
         "confidence": Output(("frame", "y", "x"), "float32", attrs={"units": "1"}),
     },

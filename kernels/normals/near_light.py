@@ -129,30 +129,13 @@ class Lights:
         """R: mean distance from the stage's centre, mm."""
         return float(np.linalg.norm(self.position, axis=1).mean())
 
-    @staticmethod
-    def part_of(item: Mapping[str, Any]) -> Mapping[str, Any]:
-        """What a lights item says of places, powers and weights.
-
-        A rig driven from measured positions has its weights from where the lights are, not from the layout.
-        """
-        fields = ("id", "position_mm", "direction", "power")
-        measured = item["drive"] == "measured"
-        return {
-            "lights": [
-                {
-                    **{name: light[name] for name in fields},
-                    "drive_position": None if measured else light["drive_position"],
-                }
-                for light in item["lights"]
-            ]
-        }
-
     @classmethod
     def of(cls, item: Mapping[str, Any], *, near: bool) -> "Lights":
         """From a lights item.
 
         Args:
-            item: `part_of` a lights item; a light without a `drive_position` is driven from where it is.
+            item: what `kernels.items.lights_of` takes of a lights item; a light without a `drive_position` is
+                driven from where it is.
             near: whether places are needed; otherwise directions will do.
 
         Raises:

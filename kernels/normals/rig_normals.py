@@ -11,17 +11,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lightstage.dag.stage import Items, StageError
+from lightstage.kernels.encodings import NORMAL_FILL, NORMAL_STEPS, VISIBILITY_STEPS
+from lightstage.kernels.errors import KernelError
 from lightstage.kernels.normals import near_light, self_consistent
 from lightstage.kernels.normals.normal_filter import non_local_means
 from lightstage.kernels.normals.openness import share_of_light
-from lightstage.kernels.normals.spherical_gradients import FILL, STEPS
 from lightstage.kernels.pictures.subject_mask import find_subject, lit
 from lightstage.kernels.surface.pinhole import Pinhole
 
-RIG_MODELS = ("lights", "near", "near+shadows", "full")
-"""The corrections that know this rig's lights; all but the first estimate depth."""
-VISIBILITY_STEPS = 255
 _EXCESS_PX, _POWER_PX = 0.8, 2.0
 """Blur of the norm's excess, and of its power: its noise must not go into the albedo."""
 _BLURRED_NOISE = 0.3
@@ -52,7 +49,7 @@ def solve(
     Args:
         bands: per band, pictures (y, x) by illumination, radiance, NaN where not valid.
         rig: the rig and the subject.
-        model: one of RIG_MODELS.
+        model: lights, near, near+shadows or full.
         as_one: all bands give one map.
         filtered: none, nlm or surface.
         openness: of the irradiance, measured or modelled.
@@ -61,7 +58,7 @@ def solve(
         the outputs of `normals` with a leading band; see there.
 
     Raises:
-        StageError: nothing is measured, or no subject is found.
+        KernelError: nothing is measured, or no subject is found.
     """
     measured = near_light.measure(bands)
     shape = measured.constant.shape[1:]
@@ -69,7 +66,7 @@ def solve(
         return _read_out(measured, None, np.zeros((*shape, 3)), rig, as_one=as_one, filtered=filtered)
     assert rig.camera is not None
     if not (measured.weight > 0).any():
-        raise StageError("no pixel is measured in all pictures of the set: they are black, or saturated")
+        raise KernelError("no pixel is measured in all pictures of the set: they are black, or saturated")
     constant = measured.constant.mean(axis=0)
     mask = lit(rig.mask, constant) if rig.mask is not None else find_subject(constant)
     found = self_consistent.solve(measured, mask, rig.camera, rig.lights, model=model)
@@ -197,40 +194,17 @@ def surface_normals(points: NDArray[np.float64], mask: NDArray[np.bool_]) -> NDA
 
 
 def quantised(normal: NDArray[np.floating]) -> NDArray[np.int16]:
-    """(y, x, xyz) unit vectors, NaN where there is none, as they are stored: (xyz, y, x) in steps of 1 / STEPS."""
+    """(y, x, xyz) unit vectors, NaN where there is none, as they are stored: (xyz, y, x) in steps."""
     known = np.isfinite(normal).all(axis=2, keepdims=True)
-    steps = np.floor(np.where(known, normal, 0) * STEPS + 0.5)
-    return np.ascontiguousarray(np.where(known, steps, FILL).astype(np.int16).transpose(2, 0, 1))
-
-
-def context_of(facts: Mapping[str, Any], items: Items, model: str) -> Mapping[str, Any]:
-    """The part of camera and lights that a model of the rig reads, and the capture's mask."""
-    near = model != "lights"
-    missing = [kind for kind in ("lights", "camera") if kind not in items and (near or kind == "lights")]
-    if missing:
-        raise StageError(
-            f"correct: {model} needs the {' and the '.join(missing)} item; bind one with "
-            "`lightstage calibration use FILE --session S`, or measure it with `lightstage calibrate`"
-        )
-    if model == "full" and "bands" not in items:
-        raise StageError(
-            "correct: full needs the bands item: bounced light is told by the albedo, so radiance must compare "
-            "between bands; measure one with `lightstage calibrate bands`, or set correct: near+shadows"
-        )
-    lens = ("size_px", "K", "distortion", "world_to_camera")
-    return {
-        "camera": {name: items["camera"][name] for name in lens} if near else None,
-        "lights": near_light.Lights.part_of(items["lights"]),
-        "near": near,
-        "mask": facts["mask"] if near else None,
-    }
+    steps = np.floor(np.where(known, normal, 0) * NORMAL_STEPS + 0.5)
+    return np.ascontiguousarray(np.where(known, steps, NORMAL_FILL).astype(np.int16).transpose(2, 0, 1))
 
 
 def prepared(context: Mapping[str, Any], shape: tuple[int, int]) -> Rig:
-    """A context of `context_of` in numbers, for pictures of `shape` (rows, columns).
+    """What `normals` reads of the rig, in numbers, for pictures of `shape` (rows, columns).
 
     Raises:
-        StageError: the camera item is of another size, or a light has no place.
+        KernelError: the camera item is of another size, or a light has no place.
     """
     mask = None if context["mask"] is None else np.asarray(context["mask"].load()) > 0
     camera = None if context["camera"] is None else Pinhole.of(context["camera"], shape)

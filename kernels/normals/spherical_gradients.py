@@ -25,12 +25,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from lightstage.kernels.encodings import NORMAL_FILL, NORMAL_STEPS
+
 AXES = "XYZ"
 GRADIENTS = ("X", "Xc", "Y", "Yc", "Z", "Zc")
-STEPS = 32767
-"""Stored normals are int16: component x STEPS. The error is below 0.002 degrees."""
-FILL = -32768
-"""Stored where there is no normal; reads as NaN."""
 
 
 class Table(NamedTuple):
@@ -93,7 +91,7 @@ class Normals(NamedTuple):
     """What the kernel gives, per pixel."""
 
     normal: NDArray[np.int16]
-    """(xyz, y, x), in steps of 1 / STEPS; FILL where there is none."""
+    """(xyz, y, x), in steps of 1 / NORMAL_STEPS; NORMAL_FILL where there is none."""
     constant: NDArray[np.float32]
     """(y, x): r_c; NaN where there is no normal, as in a point without light."""
     norm: NDArray[np.float32]
@@ -139,8 +137,8 @@ def solve(
     return out
 
 
-_STEPS, _HALF, _ONE, _NINE = np.float32(STEPS), np.float32(0.5), np.float32(1), np.float32(9)
-_SIX, _THREE_HALVES, _NAN, _FILL = np.float32(6), np.float32(1.5), np.float32(np.nan), np.int32(FILL)
+_STEPS, _HALF, _ONE, _NINE = np.float32(NORMAL_STEPS), np.float32(0.5), np.float32(1), np.float32(9)
+_SIX, _THREE_HALVES, _NAN, _FILL = np.float32(6), np.float32(1.5), np.float32(np.nan), np.int32(NORMAL_FILL)
 
 
 # The branches on `qp` and `view` are pruned when None is passed, so each combination is a loop of its own that

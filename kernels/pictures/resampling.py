@@ -10,20 +10,19 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from lightstage.kernels.encodings import SIGNAL_STEP
+
 Image = NDArray[np.float32]
-STEP = 1 / 256
-"""Counts are rounded to this. A pixel's noise is a count and more, so its variance grows by less than 2e-6; the
-digits beyond would be random, and cost half as much again to store and to write."""
 _FAST = {"nsz"}
 """No "contract", a product and a sum in one step, and no "arcp", one over a divisor times: whether they pay, and so
 the last bit, differs between processors. They gain nothing that can be measured here."""
-_FINE, _STEP, _NAN = np.float32(1 / STEP), np.float32(STEP), np.float32(np.nan)
+_FINE, _STEP, _NAN = np.float32(1 / SIGNAL_STEP), np.float32(SIGNAL_STEP), np.float32(np.nan)
 _HALF, _ONE, _1_5, _TWO, _2_5 = np.float32(0.5), np.float32(1), np.float32(1.5), np.float32(2), np.float32(2.5)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def correct(raw: Any, dark: Image, gain: Image, white_level: int) -> Image:
-    """(raw - dark) gain for one picture (y, x), to STEP; NaN where the sensor saturated (raw >= white_level)."""
+    """(raw - dark) gain of one picture (y, x), to SIGNAL_STEP; NaN where the sensor saturated (raw >= white_level)."""
     height, width = raw.shape
     out = np.empty((height, width), np.float32)
     for y in range(height):
@@ -43,7 +42,7 @@ def warp(image: Image, to_source: NDArray[np.float64], height: int, width: int) 
         to_source: (3, 3), target pixel to source pixel, homogeneous.
 
     Returns:
-        (height, width), to STEP. NaN where one of the 16 neighbours lies outside the image or is NaN.
+        (height, width), to SIGNAL_STEP. NaN where one of the 16 neighbours lies outside the image or is NaN.
     """
     rows, columns = image.shape
     flat = image.reshape(-1)
