@@ -92,7 +92,7 @@ def source(module: str) -> bytes:
 
 
 def module_file(name: str) -> Path | None:
-    """Where a module's source lies, None where there is none. Python's own finder would import what is around it."""
+    """Where a module lies, None where there is none. Python's own finder would import what is around it."""
     top, *below = name.split(".")
     spec = importlib.util.find_spec(top)
     if spec is None:

@@ -22,7 +22,7 @@ _HALF, _ONE, _1_5, _TWO, _2_5 = np.float32(0.5), np.float32(1), np.float32(1.5),
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def correct(raw: Any, dark: Image, gain: Image, white_level: int) -> Image:
-    """(raw - dark) gain of one picture (y, x), to SIGNAL_STEP; NaN where the sensor saturated (raw >= white_level)."""
+    """(raw - dark) gain of one picture (y, x), to SIGNAL_STEP; NaN where it saturated (raw >= white_level)."""
     height, width = raw.shape
     out = np.empty((height, width), np.float32)
     for y in range(height):
