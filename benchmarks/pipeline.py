@@ -28,7 +28,8 @@ stages:
   register: {uses: register, from: capture}
   split:    {uses: split,    from: register}
   stack:    {uses: stack,    from: split}
-  normals:  {uses: normals,  from: stack}
+  align:    {uses: align,    from: stack}
+  normals:  {uses: normals,  from: align}
 """
 """What the plain loop does: no alignment."""
 

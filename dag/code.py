@@ -49,18 +49,7 @@ def code_digest(source: str | bytes) -> str:
 
     The text form is our own, because Python's `ast.dump` differs between versions.
     """
-    return digest_bytes(_text(_without_docstrings(_parsed(source))).encode())
-
-
-_PARSINGS = 20
-
-
-def _parsed(source: str | bytes) -> ast.Module:
-    """The syntax tree. Until Python 3.11.8 and 3.12.2 one thread's parsing may fail because of another's."""
-    for _ in range(_PARSINGS):
-        with contextlib.suppress(SystemError):
-            return ast.parse(source)
-    return ast.parse(source)
+    return digest_bytes(_text(_without_docstrings(compiled.parsed(source))).encode())
 
 
 def _without_docstrings(tree: ast.AST) -> ast.AST:
@@ -202,7 +191,7 @@ class _Memory:
         """What is known of a module's text, found now if need be."""
         key = f"{module} {digest_bytes(text)}"
         if key not in self.known:
-            tree = _parsed(text)
+            tree = compiled.parsed(text)
             imports = tuple(dict.fromkeys(_imports(tree, module)))
             self.known[key] = _Facts(code_digest(text), imports)
             self.learned = True

@@ -7,6 +7,7 @@ column, the offending text and the nearest valid name.
 import importlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import Any, Literal
 
@@ -33,10 +34,6 @@ class _PipelineFile(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
     stages: dict[str, Any] = Field(min_length=1, description="the nodes by name")
-
-
-_MOST_CIRCLES = 5
-"""That are told of."""
 
 
 @dataclass(frozen=True)
@@ -142,9 +139,8 @@ def load_graph(path: Path, table: Mapping[str, str], *, overrides: Sequence[str]
         {name: (e.from_,) if isinstance(e.from_, str) else e.from_ for name, e in entries.items()},
         problems,
     )
-    in_a_circle = any("in a circle" in problem for problem in problems)
     for name in order:
-        if name in nodes and not in_a_circle:
+        if name in nodes:
             problems += _misfits(source, nodes[name], nodes)
     raise_all(problems)
     return Graph({name: nodes[name] for name in order}, source.name, source.digest)
@@ -193,31 +189,15 @@ def _parameters(
 
 
 def _order(source: Document, above: Mapping[str, Sequence[str]], problems: list[str]) -> list[str]:
-    """Topological, in the file's order where it is free."""
-    order: dict[str, None] = {}
-    circles: list[list[str]] = []
-    for name in above:
-        if name in order:
-            continue
-        # from a node upwards, each with those above it that are still to be seen: not by recursion, because a file
-        # may hold a chain of any length
-        path = {name: iter(above[name])}
-        while path:
-            here = next(reversed(path))
-            upper = next(path[here], None)
-            if upper is None:
-                del path[here]
-                order[here] = None
-            elif upper in path:
-                if len(circles) < _MOST_CIRCLES:
-                    circles.append([*list(path)[list(path).index(upper) :], upper])
-            elif upper in above and upper not in order:
-                path[upper] = iter(above[upper])
-    for circle in circles:
-        shown = circle if len(circle) <= 12 else [*circle[:6], f"... ({len(circle) - 12} more)", *circle[-6:]]
-        spot = source.at(("stages", circle[-2], "from"))
-        problems.append(f"{spot}: the nodes read each other in a circle: {' -> '.join(shown)}")
-    return list(order)
+    """Topological; none where nodes read each other in a circle, which is a problem."""
+    try:
+        return [name for name in TopologicalSorter(above).static_order() if name in above]
+    except CycleError as error:
+        circle: list[str] = error.args[1][::-1]
+    shown = circle if len(circle) <= 12 else [*circle[:6], f"... ({len(circle) - 12} more)", *circle[-6:]]
+    spot = source.at(("stages", circle[-2], "from"))
+    problems.append(f"{spot}: the nodes read each other in a circle: {' -> '.join(shown)}")
+    return []
 
 
 def _misfits(source: Document, node: Node, nodes: Mapping[str, Node]) -> list[str]:
@@ -242,4 +222,4 @@ def _misfits(source: Document, node: Node, nodes: Mapping[str, Node]) -> list[st
                 f"{spot}: '{node.name}' reads {spec.array}({', '.join(spec.dims)}), and '{upper.name}' "
                 f"(stage {upper.stage.name}) puts out {spec.array}({', '.join(output.dims)})"
             )
-    return found
+    return list(dict.fromkeys(found))

@@ -26,11 +26,11 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from lightstage.dag.stage import Arrangement, Grid, Group, Input, Items, Output, Params, Stage, StageError
+from lightstage.kernels.encodings import NORMAL_FILL, NORMAL_STEPS
 from lightstage.kernels.motion.flow_warp import Interpolation, unit
 from lightstage.kernels.motion.in_between import Side, blend, carry, nearness
 from lightstage.kernels.motion.joint_flow import subject_of
 from lightstage.kernels.normals.rig_normals import quantised
-from lightstage.kernels.encodings import NORMAL_FILL, NORMAL_STEPS
 from lightstage.kernels.pictures.picture_sets import picture_times
 
 Image = NDArray[np.float32]

@@ -281,8 +281,9 @@ def test_changed_lights_cost_the_normals_that_use_them_and_no_others(data: Path,
         "  register: {uses: register, from: capture}\n"
         "  split:    {uses: split, from: register}\n"
         "  stack:    {uses: stack, from: split}\n"
-        "  plain:    {uses: normals, from: stack}\n"
-        "  near:     {uses: normals, from: stack, params: {correct: near}}\n"
+        "  align:    {uses: align, from: stack}\n"
+        "  plain:    {uses: normals, from: align}\n"
+        "  near:     {uses: normals, from: align, params: {correct: near}}\n"
     )
 
     def computed() -> dict[str, int]:
@@ -293,7 +294,7 @@ def test_changed_lights_cost_the_normals_that_use_them_and_no_others(data: Path,
     assert computed()["near"] == 1
     item = calibrate(tmp_path / "store", "lights", data / "rendered/mirrorball")["answer"]["item"]
     assert run_process("calibration", "use", item, "--session", "static-sphere", store=store).returncode == 0
-    assert computed() == {"register": 0, "split": 0, "stack": 0, "plain": 0, "near": 1}
+    assert computed() == {"register": 0, "split": 0, "stack": 0, "align": 0, "plain": 0, "near": 1}
 
 
 def true_flow(folder: Path, tracking: int, frame: int) -> tuple[np.ndarray, np.ndarray] | None:

@@ -223,7 +223,7 @@ def _imports(module: str) -> tuple[str, ...]:
     import ast
 
     def named() -> Iterator[str]:
-        for node in ast.walk(_parsed(_text(module))):
+        for node in ast.walk(parsed(_text(module))):
             if isinstance(node, ast.Import):
                 yield from (alias.name for alias in node.names)
             elif isinstance(node, ast.ImportFrom):
@@ -239,7 +239,7 @@ def _imports(module: str) -> tuple[str, ...]:
 _PARSINGS = 20
 
 
-def _parsed(text: bytes) -> Any:
+def parsed(text: bytes) -> Any:
     """The syntax tree. Until Python 3.11.8 and 3.12.2 one thread's parsing may fail because of another's."""
     import ast
 

@@ -41,10 +41,11 @@ PIPELINE = """stages:
   register: {uses: register, from: capture}
   split:    {uses: split,    from: register}
   stack:    {uses: stack,    from: split}
-  normals:  {uses: normals,  from: stack}
+  align:    {uses: align,    from: stack}
+  normals:  {uses: normals,  from: align}
 """
 _UNCLEAR = re.compile(r"Traceback \(most recent|lightstage: unexpected |\"error\": \"unexpected ")
-NODES = ("capture", "register", "split", "stack", "normals")
+NODES = ("capture", "register", "split", "stack", "align", "normals")
 RATIO = ("--set", "normals.method=ratio")
 """A second request, so that a store holds an answer that may be taken for another."""
 

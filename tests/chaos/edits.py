@@ -7,6 +7,7 @@ give what a new store gives.
 """
 
 import ast
+import importlib
 import random
 import sys
 from pathlib import Path
@@ -23,7 +24,7 @@ from tests.scenes import write_capture
 
 KINDS = ("a source file", "the pipeline", "an item", "the session", "an option", "a library")
 TRIALS = 42
-STAGES = {name: f"lightstage.stages.{name}" for name in ("register", "split", "stack", "normals")}
+STAGES = {name: f"lightstage.stages.{name}" for name in ("register", "split", "stack", "align", "normals")}
 DARK = {"dark": "lightstage.stages.calibration.dark"}
 ALL = frozenset(STAGES)
 DISTRIBUTIONS = {"numpy": "numpy", "scipy": "scipy", "colour": "colour-science", "numba": "numba"}
@@ -110,13 +111,14 @@ def _file(module: str) -> Path:
 
 
 def _closure(module: str, *, packages: bool = True) -> set[str]:
-    """The modules of stages, kernels and hw that a module imports, through others too.
+    """The modules of stages, kernels and hw that a stage's module and the functions that it names import, through
+    others too.
 
     Args:
         packages: with the `__init__` of each one's folders, which an import executes.
     """
     found: set[str] = set()
-    waiting = [module]
+    waiting = [module, *importlib.import_module(module).STAGE.modules]
     while waiting:
         name = waiting.pop()
         if name in found or not _file(name).is_file():
@@ -139,13 +141,13 @@ def _pipeline(made: Trial, dice: random.Random) -> None:
     text = made.bench.pipeline.read_text()
     old, new, must = dice.choice(
         (
-            ("from: stack}", "from: stack, params: {method: ratio}}", set()),  # of another request
-            ("from: stack}", "from: stack, params: {method: auto}}", set()),
+            ("from: align}", "from: align, params: {method: ratio}}", set()),  # of another request
+            ("from: align}", "from: align, params: {method: auto}}", set()),
             ("from: capture}", "from: capture, params: {flat_smoothing_percent: 7}}", {"register"}),
             ("stages:", "# a comment\nstages:", set()),
-            ("  normals:  {", "  again:    {uses: normals, from: stack}\n  normals:  {", set()),
+            ("  normals:  {", "  again:    {uses: normals, from: align}\n  normals:  {", set()),
             ("  normals:  {", "  bases:    {", set()),
-            ("from: stack}", "from: stack, params: {method: minimal}}", {"normals"}),
+            ("from: align}", "from: align, params: {method: minimal}}", {"normals"}),
         )
     )
     file = made.room / "pipeline.yaml"

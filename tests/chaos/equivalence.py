@@ -93,7 +93,7 @@ def _exchange(made: Trial, dice: random.Random) -> dict[str, int]:
     os.rename(paths[0], spare)
     os.rename(paths[1], paths[0])
     os.rename(spare, paths[1])
-    return {"register": 2, "split": 2, "stack": 2, "normals": 1}
+    return {"register": 2, "split": 2, "stack": 2, "align": 1, "normals": 1}
 
 
 def _compress(made: Trial, dice: random.Random) -> dict[str, int]:

@@ -14,7 +14,8 @@ stages:
   register: {uses: register, from: capture}
   split:    {uses: split, from: register}
   stack:    {uses: stack, from: split}
-  normals:  {uses: normals, from: stack, params: {method: ratio}}
+  align:    {uses: align, from: stack}
+  normals:  {uses: normals, from: align, params: {method: ratio}}
 """
 
 
@@ -31,7 +32,7 @@ def test_a_good_one_is_ordered_whatever_the_order_in_the_file(tmp_path: Path) ->
     lines = GOOD.splitlines()
     path.write_text("\n".join([lines[0], *reversed(lines[1:])]))
     graph = load_graph(path, TABLE)
-    assert list(graph.nodes) == ["capture", "register", "split", "stack", "normals"]
+    assert list(graph.nodes) == ["capture", "register", "split", "stack", "align", "normals"]
     assert graph.nodes["normals"].params.model_dump()["method"] == "ratio"
     assert graph.with_all_above(["split"]) == ["capture", "register", "split"]
 
@@ -43,16 +44,16 @@ def test_a_good_one_is_ordered_whatever_the_order_in_the_file(tmp_path: Path) ->
         (
             "{method: ratio}",
             "{metod: ratio}",
-            "p:6:51:",
+            "p:7:51:",
             ["unknown key 'metod'", "did you mean 'method'", "normals"],
         ),
-        ("ratio}", "ration}", "p:6:51:", ["method", "'ratio'", "'ration'"]),
-        ("method: ratio", "fuse: 3", "p:6:51:", ["fuse", "found 3"]),
+        ("ratio}", "ration}", "p:7:51:", ["method", "'ratio'", "'ration'"]),
+        ("method: ratio", "fuse: 3", "p:7:51:", ["fuse", "found 3"]),
         ("from: split", "from: splot", "p:5:27:", ["reads 'splot'", "did you mean 'split'"]),
         ("from: split", "from: register", "p:5:27:", ["component", "polarisation"]),
         ("{uses: split, from: register}", "{uses: split}", "p:4:3:", ["names 0 node(s)", "reads 1 node(s)"]),
-        ("from: stack", "from: register", "p:6:29:", ["array 'radiance'", "signal, valid"]),
-        ("from: stack,", "form: stack,", "p:6:29:", ["unknown key 'form'", "did you mean 'from'"]),
+        ("from: align", "from: register", "p:7:29:", ["array 'aligned'", "signal, valid"]),
+        ("from: align,", "form: align,", "p:7:29:", ["unknown key 'form'", "did you mean 'from'"]),
     ],
 )
 def test_mistakes(tmp_path: Path, old: str, new: str, start: str, parts: list[str]) -> None:
@@ -94,7 +95,7 @@ def test_overrides_are_checked_alike(tmp_path: Path) -> None:
 
 def test_the_same_stage_may_stand_twice(tmp_path: Path) -> None:
     path = tmp_path / "p.yaml"
-    path.write_text(GOOD + "  normals-wilson: {uses: normals, from: stack, params: {method: difference}}\n")
+    path.write_text(GOOD + "  normals-wilson: {uses: normals, from: align, params: {method: difference}}\n")
     assert "normals-wilson" in load_graph(path, TABLE).nodes
 
 
@@ -108,14 +109,14 @@ def test_an_unknown_target_is_named(tmp_path: Path) -> None:
 def test_what_is_computed_when_asked_is_not_computed_unasked(tmp_path: Path) -> None:
     path = tmp_path / "p.yaml"
     path.write_text(
-        GOOD + "  relief: {uses: normals, from: stack, when: asked}\n  more: {uses: normals, from: stack}\n"
+        GOOD + "  relief: {uses: normals, from: align, when: asked}\n  more: {uses: normals, from: align}\n"
     )
     graph = load_graph(path, TABLE)
-    assert graph.with_all_above([]) == ["capture", "register", "split", "stack", "normals", "more"]
-    assert graph.with_all_above(["relief"]) == ["capture", "register", "split", "stack", "relief"]
+    assert graph.with_all_above([]) == ["capture", "register", "split", "stack", "align", "normals", "more"]
+    assert graph.with_all_above(["relief"]) == ["capture", "register", "split", "stack", "align", "relief"]
 
 
 def test_when_has_two_words(tmp_path: Path) -> None:
-    (line,) = refused(tmp_path, GOOD + "  relief: {uses: normals, from: stack, when: ask}\n")
-    assert line.startswith("p:7:")
+    (line,) = refused(tmp_path, GOOD + "  relief: {uses: normals, from: align, when: ask}\n")
+    assert line.startswith("p:8:")
     assert "'always' or 'asked'" in line

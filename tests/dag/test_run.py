@@ -553,7 +553,7 @@ def test_a_nodes_name_cannot_lead_out_of_the_store(lightstage: Lightstage, ball:
     text = (REPOSITORY / "pipeline.yaml").read_text()
     for name in ("../../evil", "a/b", "..", "current"):
         path = tmp_path / "p.yaml"
-        path.write_text(text + f'  "{name}": {{uses: normals, from: stack}}\n')
+        path.write_text(text + f'  "{name}": {{uses: normals, from: align}}\n')
         done = lightstage("run", "--session", "ball", "--pipeline", path)
         assert done.code == 2
         assert "cannot name a node" in done.err

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from lightstage.dag import fingerprint, sources
+from lightstage.dag import code, sources
 from lightstage.dag.sources import ROOT, outdated, read_sources
 from lightstage.store.digest import digest_bytes
 from tests.package import copy_package
@@ -49,13 +49,13 @@ def test_a_key_is_made_of_what_was_executed(package: Package) -> None:
     """A worker that lives on while a module is edited computes the old text's numbers, under the old text's key."""
     path = package("oursone", "LIMIT = 3\n")
     module = importlib.import_module("oursone.part")
-    old = fingerprint.module_code("oursone.part")
+    old = code.module_code(["oursone.part"])
     edit(path, "LIMIT = 4\n")
-    fingerprint._module_code.cache_clear()
-    assert fingerprint.module_code("oursone.part") == old
+    code._module_code.cache_clear()
+    assert code.module_code(["oursone.part"]) == old
     assert module.LIMIT == 3
     importlib.reload(module)
-    assert fingerprint.module_code("oursone.part") != old
+    assert code.module_code(["oursone.part"]) != old
 
 
 def test_an_edit_that_leaves_size_and_time_is_executed(package: Package) -> None:
@@ -124,7 +124,7 @@ def test_the_engine_is_of_dag_and_store(package: Package, monkeypatch: pytest.Mo
 def test_a_library_that_nobody_has_spoken_of_is_refused(package: Package) -> None:
     package("oursfour", "import tifffile\n")
     with pytest.raises(ModuleNotFoundError, match="imports tifffile, which is neither in NUMERIC nor in SILENT"):
-        fingerprint.module_libraries("oursfour.part")
+        code.module_libraries(["oursfour.part"])
 
 
 def test_the_record_is_of_our_modules_as_their_files_stand() -> None:
