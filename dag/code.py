@@ -7,7 +7,6 @@ code (`compiled.folder`), by the text's digest; whoever cannot write there parse
 import ast
 import contextlib
 import functools
-import importlib.metadata
 import os
 import re
 import sys
@@ -140,7 +139,9 @@ def _version(distribution: str) -> str:
             for name in sorted(os.listdir(folder or ".")):
                 if match := wanted.fullmatch(name):
                     return match[1]
-    return importlib.metadata.version(distribution)
+    from importlib.metadata import version
+
+    return version(distribution)
 
 
 def _counts(name: str, importer: str) -> bool:

@@ -5,9 +5,8 @@ from collections.abc import Mapping, Set
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from statistics import fmean
 from typing import Any
-
-import numpy as np
 
 from lightstage.dag.fingerprint import plain_context
 from lightstage.dag.plan import NodePlan, NodeState, State
@@ -105,7 +104,7 @@ def result_attrs(state: State, node: NodeState) -> dict[str, Any]:
     chosen = [r for r, selected in zip(node.records, node.selected, strict=True) if r is not None and selected]
     names = sorted({name for record in chosen for name in record.stats})
     # a block whose pictures do not tell a figure has none
-    stats = {name: float(np.mean([r.stats[name] for r in chosen if name in r.stats])) for name in names}
+    stats = {name: fmean(r.stats[name] for r in chosen if name in r.stats) for name in names}
     attrs = {**{k: v for k, v in plan.grid.attrs.items() if v != ""}, **stats}
     warnings = [sentence for record in chosen for sentence in record.warnings]
     if warnings:

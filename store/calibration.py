@@ -14,10 +14,8 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from lightstage.store import document
@@ -30,6 +28,10 @@ from lightstage.store.intake import FileError, read_regular
 from lightstage.store.picture import LARGEST_FILE, PictureError, decode
 from lightstage.store.root import Store
 from lightstage.store.sealed import seal, unseal
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 Vector = tuple[float, float, float]
 Matrix = tuple[Vector, Vector, Vector]
@@ -64,6 +66,8 @@ class Pose(_Item):
 
     @model_validator(mode="after")
     def _possible(self) -> "Pose":
+        import numpy as np
+
         turn, distance = np.asarray(self.R), self.t_mm[2]
         # lengths first: what is no rotation may be of any size
         if np.abs(turn).max() > 2 or np.abs(turn @ turn.T - np.eye(3)).max() > _UNIT or np.linalg.det(turn) < 0:
@@ -76,7 +80,9 @@ class Pose(_Item):
         return self
 
 
-def _why_no_rotation(matrix: NDArray[np.float64]) -> str:
+def _why_no_rotation(matrix: "NDArray[np.float64]") -> str:
+    import numpy as np
+
     lengths = np.sqrt((np.clip(matrix, -_HUGE, _HUGE) ** 2).sum(axis=1))
     if np.abs(lengths - 1).max() > _UNIT:
         return f"its rows have the lengths {', '.join(f'{length:.4g}' for length in lengths)}; each must be 1"
@@ -122,6 +128,8 @@ class HomographyItem(_Item):
 
     @model_validator(mode="after")
     def _invertible(self) -> "HomographyItem":
+        import numpy as np
+
         matrix = np.asarray(self.matrix)
         scale = np.abs(matrix).max()
         if scale == 0 or abs(np.linalg.det(matrix / scale)) < 1e-12:
@@ -282,7 +290,7 @@ class StoredPicture:
         """From JSON."""
         return cls(ChunkRef.from_plain(plain["chunk"]), plain["dtype"], tuple(plain["shape"]))
 
-    def load(self, store: Store) -> NDArray[Any]:
+    def load(self, store: Store) -> "NDArray[Any]":
         """The pixels, (y, x)."""
         return store.chunks.get(self.chunk, dtype=self.dtype, shape=self.shape)
 
@@ -352,8 +360,10 @@ def item_digest(values: Mapping[str, Any], pictures: Mapping[str, StoredPicture]
     )
 
 
-def _implausible(model: _Item, camera: str, pixels: NDArray[Any]) -> Iterator[tuple[document.Where, str]]:
+def _implausible(model: _Item, camera: str, pixels: "NDArray[Any]") -> Iterator[tuple[document.Where, str]]:
     """What one of an item's pictures cannot be, and where the file says it."""
+    import numpy as np
+
     height, width = pixels.shape
     for key in ("hot_px", "dead_px"):
         for i, (x, y) in enumerate((getattr(model, key, None) or {}).get(camera, ())):

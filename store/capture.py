@@ -5,6 +5,7 @@ description promises which file holds it and what it must look like.
 """
 
 import io
+import math
 import os
 import re
 import string
@@ -12,14 +13,16 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from lightstage.store import document
 from lightstage.store.errors import RequestError, raise_all
-from lightstage.store.picture import EXTENSIONS, Picture, PictureError, declared, decode, linear_from_srgb
+from lightstage.store.picture import EXTENSIONS, PictureError, declared, decode, linear_from_srgb
+
+if TYPE_CHECKING:
+    from lightstage.store.picture import Picture
 
 ILLUMINATION = re.compile(r"C|[XYZ]c?|L[0-9]{1,6}|T[0-3]|O")
 SESSION_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
@@ -165,7 +168,7 @@ def _conflicts(capture: CaptureFile) -> Iterator[str]:
         values = value if isinstance(value, tuple) else (value,)
         if isinstance(value, tuple) and len(value) != len(capture.bands_nm):
             yield f"intensities: {name} has {len(value)} numbers for {len(capture.bands_nm)} bands"
-        if not all(np.isfinite(v) and v > 0 for v in values):
+        if not all(math.isfinite(v) and v > 0 for v in values):
             yield f"intensities: {name} must be positive"
 
 
@@ -295,12 +298,14 @@ class Capture:
         except OSError as error:
             raise RequestError(f"{self.folder} cannot be listed ({error.strerror})") from None
 
-    def planes(self, data: bytes) -> Picture:
+    def planes(self, data: bytes) -> "Picture":
         """Decode one of the capture's files into (bands of the file, y, x), uint16, linear.
 
         Raises:
             PictureError: it is not the kind of picture that the description declares.
         """
+        import numpy as np
+
         d = self.description
         wanted = 3 if d.colour == "rgb" else 1
         said = declared(io.BytesIO(data)).channels

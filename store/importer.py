@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lightstage.store.calibration import Item, StoredPicture, get_item, items_in, put_item
 from lightstage.store.capture import NAME_RULE, SESSION_NAME, Capture, PictureFile, read_captures
@@ -21,7 +22,7 @@ from lightstage.store.chunks import ChunkRef, Chunks, Staging
 from lightstage.store.digest import digest_bytes
 from lightstage.store.errors import RequestError, raise_all
 from lightstage.store.intake import FileError, open_regular, read_regular
-from lightstage.store.picture import LARGEST_FILE, Declared, Picture, declared, decode
+from lightstage.store.picture import LARGEST_FILE, Declared, declared, decode
 from lightstage.store.root import Store
 from lightstage.store.sessions import Session, SessionChangedError, commit_session, present_session, show_raw
 
@@ -283,7 +284,7 @@ def _read_mask(capture: Capture, shape: tuple[int, int], chunks: Chunks) -> tupl
         data = read_regular(path, LARGEST_FILE)
         promised = declared(io.BytesIO(data))
         if promised.shape == shape:
-            picture: Picture = decode(data)
+            picture = decode(data)
     except FileError as error:
         raise RequestError(f"{path} {error}; capture.yaml names it as the mask") from None
     if promised.shape != shape:
@@ -362,7 +363,7 @@ def _verdict(session: Session, store: Store) -> Iterable[dict[str, Any]]:
     for i, illumination in enumerate(facts["illumination"]):
         frames.setdefault(illumination, []).append(i)
 
-    def load(frame: int, band: int, polarisation: int) -> Picture:
+    def load(frame: int, band: int, polarisation: int) -> NDArray[np.uint16]:
         ref = session.images[frame][band][polarisation]
         return store.chunks.get(ref, dtype="<u2", shape=session.shape)
 

@@ -12,14 +12,14 @@ import struct
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, BinaryIO
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from lightstage.store.intake import FileError
 
-Picture = NDArray[Any]
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Picture = NDArray[Any]
 EXTENSIONS = (".png", ".tif", ".tiff")
 WIDEST_PX = 16384
 """Of either side; the largest sensors have 14204 x 10652."""
@@ -90,12 +90,14 @@ def declared(file: BinaryIO) -> Declared:
     raise PictureError("is not a PNG or TIFF picture")
 
 
-def decode(data: bytes) -> Picture:
+def decode(data: bytes) -> "Picture":
     """Decode a picture as it is stored: (y, x) or (y, x, channel) in R, G, B order, uint8 or uint16.
 
     Raises:
         PictureError: not a PNG or TIFF, truncated, damaged, larger than any camera's, or not of 8 or 16 bits.
     """
+    import numpy as np
+
     promised = declared(io.BytesIO(data))
     if data[:8] == _PNG:
         _check_png(data)
@@ -156,8 +158,9 @@ def _check_part(data: bytes, offset: int, end: int) -> None:
         raise PictureError(f"is damaged: its {kind} part fails the checksum")
 
 
-def _decoded_by_opencv(data: bytes | bytearray, kind: str) -> Picture:
+def _decoded_by_opencv(data: bytes | bytearray, kind: str) -> "Picture":
     import cv2
+    import numpy as np
 
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # a damaged file is refused in our words
     try:
@@ -357,7 +360,7 @@ def _check_places(layout: _Layout, tags: _Tags) -> None:
         raise PictureError(f"is truncated: the TIFF has {tags.size} bytes and needs {ends[True]}")
 
 
-def _decode_tiff(data: bytes) -> Picture:
+def _decode_tiff(data: bytes) -> "Picture":
     layout = _tiff_layout(io.BytesIO(data))
     if layout.compression not in _LZW:
         return _assembled(data, layout)
@@ -373,8 +376,10 @@ def _decode_tiff(data: bytes) -> Picture:
     return _decoded_by_opencv(upright, "TIFF")
 
 
-def _assembled(data: bytes, layout: _Layout) -> Picture:
+def _assembled(data: bytes, layout: _Layout) -> "Picture":
     """The picture of strips or tiles that are plain, deflated or PackBits."""
+    import numpy as np
+
     promised = layout.promised
     together = 1 if layout.apart else promised.channels
     stored = np.dtype("u1" if promised.bits == 8 else ">u2" if layout.big_endian else "<u2")
@@ -427,8 +432,10 @@ def _unpacked(values: bytes, needed: int) -> bytes:
     return bytes(found)
 
 
-def linear_from_srgb(picture: Picture) -> Picture:
+def linear_from_srgb(picture: "Picture") -> "Picture":
     """Undo the sRGB curve (IEC 61966-2-1): integers of either depth to linear uint16, full scale 65535."""
+    import numpy as np
+
     top = np.iinfo(picture.dtype).max
     codes = np.arange(top + 1) / top
     linear = np.where(codes <= 0.04045, codes / 12.92, ((codes + 0.055) / 1.055) ** 2.4)

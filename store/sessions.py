@@ -18,6 +18,7 @@ commands that meet within a millisecond can still lose one change.
 import contextlib
 import errno
 import fcntl
+import math
 import os
 import shutil
 import time
@@ -26,8 +27,6 @@ from dataclasses import dataclass
 from dataclasses import replace as changed
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from lightstage.store import document, files
 from lightstage.store.calibration import Item, StoredPicture
@@ -381,7 +380,7 @@ def _made(session: Session, group: Path) -> dict[str, Any]:
 def raw_coordinates(session: Session) -> dict[str, Coordinate]:
     """The labels of `raw`."""
     facts = session.facts
-    times = [np.nan if t is None else float(t) for t in facts["time_s"]]
+    times = [math.nan if t is None else float(t) for t in facts["time_s"]]
     return {
         "illumination": Coordinate(("frame",), facts["illumination"]),
         "time_s": Coordinate(("frame",), times, {"units": "s"}),

@@ -239,7 +239,7 @@ def _imports(module: str) -> tuple[str, ...]:
 _PARSINGS = 20
 
 
-def parsed(text: bytes) -> Any:
+def parsed(text: "str | bytes") -> Any:
     """The syntax tree. Until Python 3.11.8 and 3.12.2 one thread's parsing may fail because of another's."""
     import ast
 
