@@ -14,6 +14,7 @@ from lightstage.dag.fingerprint import block_key, plain_context, recipe, stage_p
 from lightstage.dag.graph import Graph, Node
 from lightstage.dag.recall import Request, item_digest
 from lightstage.dag.stage import Arrangement, CalibrationPicture, Grid, Group, StageError
+from lightstage.kernels.errors import KernelError
 from lightstage.store.calibration import Item, StoredPicture, get_item, not_valid_for
 from lightstage.store.chunks import ChunkIndex, ChunkRef
 from lightstage.store.digest import SHORT, digest_value
@@ -222,7 +223,7 @@ def make_plan(
             nodes[name] = _plan_node(
                 node, [nodes[upper] for upper in node.above], facts, _plain_items(items, store)
             )
-        except StageError as error:
+        except (StageError, KernelError) as error:
             problems.append(f"session '{session.name}', {name}: {error}")
     raise_all(problems)
     return Plan(graph, session, nodes, items, tuple(targets))

@@ -16,6 +16,7 @@ from lightstage.dag.plan import Plan, State, look_up
 from lightstage.dag.publish import NodeResult, publish_results
 from lightstage.dag.stage import StageError
 from lightstage.dag.task import BlockTask, check_store, execute, lend, prepare
+from lightstage.kernels.errors import KernelError
 from lightstage.store.errors import DamagedChunkError, RequestError, WorkError
 from lightstage.store.records import BlockRecord
 from lightstage.store.root import Store
@@ -164,7 +165,7 @@ def _check_contexts(state: State, missing: Mapping[str, Sequence[int]]) -> None:
                 continue
             try:
                 prepare(stage, node.node.module, node.contexts[digest], digest, node.node.params)
-            except StageError as error:
+            except (StageError, KernelError) as error:
                 problems.append(f"session '{state.plan.session.name}', {name}: {error}")
     if problems:
         raise RequestError("\n".join(dict.fromkeys(problems)))

@@ -27,6 +27,7 @@ from lightstage.dag.fingerprint import block_key, stage_parts
 from lightstage.dag.plan import NodePlan, Piece
 from lightstage.dag.sources import engine, generation
 from lightstage.dag.stage import Stage, StageError
+from lightstage.kernels.errors import KernelError
 from lightstage.store.chunks import ChunkRef
 from lightstage.store.digest import digest_value
 from lightstage.store.errors import WorkError
@@ -118,7 +119,7 @@ def execute(task: BlockTask, *above: BlockRecord) -> BlockRecord:
     began = time.perf_counter()
     try:
         outputs = _call_kernel(task, stage, refs, store)
-    except StageError as error:
+    except (StageError, KernelError) as error:
         raise WorkError(f"{task.node}, {task.block}: {error}") from error
     _fit_for(task)  # a kernel may import more of our code as it goes
     _store(task)

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from skimage.metrics import structural_similarity
 
-from lightstage.dag.stage import StageError
 from lightstage.kernels.appearance.microfacets import at_normal_incidence, shines
+from lightstage.kernels.errors import KernelError
 from lightstage.kernels.surface.interreflection import Tiles
 from lightstage.kernels.surface.pinhole import Pinhole
 from lightstage.kernels.surface.visibility import visible
@@ -96,12 +96,12 @@ def relight(
         edge_px: sigma over which shadows are averaged.
 
     Raises:
-        StageError: there is no surface.
+        KernelError: there is no surface.
     """
     known = np.isfinite(surface.normal).all(axis=2) & np.isfinite(surface.depth_mm)
     known &= np.isfinite(surface.albedo).all(axis=2)
     if not known.any():
-        raise StageError("no pixel has a normal, a depth and an albedo; there is nothing to relight")
+        raise KernelError("no pixel has a normal, a depth and an albedo; there is nothing to relight")
     points = camera.points(surface.depth_mm)[known]
     normal = surface.normal[known]
     view = camera.centre - points
@@ -201,11 +201,11 @@ def median_cut(environment: NDArray[np.floating], count: int) -> tuple[Array, Ar
         unit vectors (light, xyz), and strengths (light, channel): radiance times solid angle over pi.
 
     Raises:
-        StageError: the environment is black, negative or not finite.
+        KernelError: the environment is black, negative or not finite.
     """
     values = np.asarray(environment, np.float64)
     if values.ndim != 3 or not np.isfinite(values).all() or (values < 0).any() or not values.any():
-        raise StageError(
+        raise KernelError(
             "an environment needs finite radiance of at least 0 and somewhere above 0, (y, x, channel)"
         )
     height, width = values.shape[:2]

@@ -24,7 +24,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from lightstage.dag.stage import StageError
+from lightstage.kernels.errors import KernelError
 from lightstage.kernels.pictures.band_fusion import noise_model
 from lightstage.kernels.surface.visibility import in_parts
 
@@ -156,12 +156,12 @@ class Lights:
             near: whether places are needed; otherwise directions will do.
 
         Raises:
-            StageError: a light has no position.
+            KernelError: a light has no position.
         """
         rows = item["lights"]
         without = [row["id"] for row in rows if row["position_mm"] is None]
         if without and near:
-            raise StageError(
+            raise KernelError(
                 f"the lights item gives {without[0]} a direction only; near-light models need position_mm "
                 "(correct: lights works with directions)"
             )
@@ -186,7 +186,7 @@ class Lights:
         )
         drive /= np.linalg.norm(drive, axis=1, keepdims=True)
         if np.linalg.matrix_rank(drive, tol=1e-3) < 3:
-            raise StageError("the lights lie in one plane; gradients need lights all around")
+            raise KernelError("the lights lie in one plane; gradients need lights all around")
         return cls(places, drive, np.array([row["power"] for row in rows], float))
 
 

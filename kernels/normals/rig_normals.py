@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lightstage.dag.stage import Items, StageError
+from lightstage.kernels.errors import KernelError
 from lightstage.kernels.normals import near_light, self_consistent
 from lightstage.kernels.normals.normal_filter import non_local_means
 from lightstage.kernels.normals.openness import share_of_light
@@ -61,7 +61,7 @@ def solve(
         the outputs of `normals` with a leading band; see there.
 
     Raises:
-        StageError: nothing is measured, or no subject is found.
+        KernelError: nothing is measured, or no subject is found.
     """
     measured = near_light.measure(bands)
     shape = measured.constant.shape[1:]
@@ -69,7 +69,7 @@ def solve(
         return _read_out(measured, None, np.zeros((*shape, 3)), rig, as_one=as_one, filtered=filtered)
     assert rig.camera is not None
     if not (measured.weight > 0).any():
-        raise StageError("no pixel is measured in all pictures of the set: they are black, or saturated")
+        raise KernelError("no pixel is measured in all pictures of the set: they are black, or saturated")
     constant = measured.constant.mean(axis=0)
     mask = lit(rig.mask, constant) if rig.mask is not None else find_subject(constant)
     found = self_consistent.solve(measured, mask, rig.camera, rig.lights, model=model)
@@ -203,17 +203,17 @@ def quantised(normal: NDArray[np.floating]) -> NDArray[np.int16]:
     return np.ascontiguousarray(np.where(known, steps, FILL).astype(np.int16).transpose(2, 0, 1))
 
 
-def context_of(facts: Mapping[str, Any], items: Items, model: str) -> Mapping[str, Any]:
+def context_of(facts: Mapping[str, Any], items: Mapping[str, Mapping[str, Any]], model: str) -> Mapping[str, Any]:
     """The part of camera and lights that a model of the rig reads, and the capture's mask."""
     near = model != "lights"
     missing = [kind for kind in ("lights", "camera") if kind not in items and (near or kind == "lights")]
     if missing:
-        raise StageError(
+        raise KernelError(
             f"correct: {model} needs the {' and the '.join(missing)} item; bind one with "
             "`lightstage calibration use FILE --session S`, or measure it with `lightstage calibrate`"
         )
     if model == "full" and "bands" not in items:
-        raise StageError(
+        raise KernelError(
             "correct: full needs the bands item: bounced light is told by the albedo, so radiance must compare "
             "between bands; measure one with `lightstage calibrate bands`, or set correct: near+shadows"
         )
@@ -230,7 +230,7 @@ def prepared(context: Mapping[str, Any], shape: tuple[int, int]) -> Rig:
     """A context of `context_of` in numbers, for pictures of `shape` (rows, columns).
 
     Raises:
-        StageError: the camera item is of another size, or a light has no place.
+        KernelError: the camera item is of another size, or a light has no place.
     """
     mask = None if context["mask"] is None else np.asarray(context["mask"].load()) > 0
     camera = None if context["camera"] is None else Pinhole.of(context["camera"], shape)

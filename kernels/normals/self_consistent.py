@@ -22,7 +22,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lightstage.dag.stage import StageError
+from lightstage.kernels.errors import KernelError
 from lightstage.kernels.normals.near_light import Lights, Measured, Response, binned, fused, invert
 from lightstage.kernels.surface.integration import integrate
 from lightstage.kernels.surface.interreflection import Tiles, without_bounces
@@ -94,7 +94,7 @@ def solve(measured: Measured, mask: Mask, camera: Pinhole, lights: Lights, *, mo
         model: near, near+shadows or full.
 
     Raises:
-        StageError: nothing is left in the mask.
+        KernelError: nothing is left in the mask.
     """
     factor = max(1, round(mask.shape[1] / _COARSE_PX))
     if factor == 1:
@@ -107,7 +107,7 @@ def solve(measured: Measured, mask: Mask, camera: Pinhole, lights: Lights, *, mo
 def _rounds(measured: Measured, mask: Mask, camera: Pinhole, lights: Lights, model: str) -> Geometry:
     mask = mask & (measured.weight.sum(axis=0) > 0)
     if mask.sum() < 64:
-        raise StageError("the subject's mask holds no measured pixels; give the capture a mask, or light it more")
+        raise KernelError("the subject's mask holds no measured pixels; give the capture a mask, or light it more")
     found = Geometry(mask, np.full(mask.shape, np.nan), None, None, None, None, 0.0, False)
     direct = np.ones(mask.shape)
     log_depth: Array | None = None

@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from lightstage.dag.stage import StageError
+from lightstage.kernels.errors import KernelError
 from lightstage.kernels.normals.spherical_gradients import AXES, GRADIENTS, table
 
 _BY_NOISE = ("difference", "minimal", "ratio", "least_squares")
@@ -32,11 +32,11 @@ def choose(have: Sequence[str], *, method: str = "auto", base: str = "auto", cor
     4 r_c : 4 r_a + r_c : ...; design 8), the first that the set supports.
 
     Raises:
-        StageError: the set does not support what was asked for; says what is missing and what would work.
+        KernelError: the set does not support what was asked for; says what is missing and what would work.
     """
     present = set(have)
     if base != "auto" and method not in ("auto", "minimal"):
-        raise StageError(f"base: {base} belongs to method: minimal; {method} has none, so set base: auto")
+        raise KernelError(f"base: {base} belongs to method: minimal; {method} has none, so set base: auto")
     if base != "auto":
         method = "minimal"
     lights = tuple(name for name in dict.fromkeys(have) if name.startswith("L"))
@@ -45,12 +45,12 @@ def choose(have: Sequence[str], *, method: str = "auto", base: str = "auto", cor
     if chosen not in supported:
         works = f"method: {' or '.join(supported)} would work" if supported else "no method works with these"
         what = "any method" if method == "auto" else method + (f" with base {base}" if base != "auto" else "")
-        raise StageError(
+        raise KernelError(
             f"{what} needs {_needs(method, base)}; the session has {', '.join(dict.fromkeys(have))}; {works}"
         )
     if chosen == "least_squares":
         if correct != "none":
-            raise StageError(
+            raise KernelError(
                 f"correct: {correct} belongs to the gradient methods; with least_squares set correct: none"
             )
         return Choice(chosen, "", lights)
@@ -61,7 +61,7 @@ def choose(have: Sequence[str], *, method: str = "auto", base: str = "auto", cor
     )
     missing = [name for name in (*GRADIENTS, "C") if name not in present]
     if correct == "qp" and missing:
-        raise StageError(
+        raise KernelError(
             f"correct: qp needs {', '.join((*GRADIENTS, 'C'))}; {', '.join(missing)} missing; "
             f"correct: none works with {chosen}"
         )
@@ -128,16 +128,16 @@ def chosen_sets(
         whole: all illuminations, for the error.
 
     Raises:
-        StageError: none does; says what is missing and what would work.
+        KernelError: none does; says what is missing and what would work.
     """
     found: list[tuple[Window, Choice]] = []
     for window in candidates:
-        with contextlib.suppress(StageError):
+        with contextlib.suppress(KernelError):
             found.append((window, choose(list(window.at), method=method, base=base, correct=correct)))
     if not found:
         works = [m for m in _BY_NOISE if any(_supports(m, "auto", set(window.at)) for window in candidates)]
         hint = f"method: {' or '.join(works)} with base: auto would work" if works else "no method works with these"
-        raise StageError(
+        raise KernelError(
             f"{method} needs {_needs(method, base)} between the tracking frames (C) before and after one; "
             f"the session has {whole}; {hint}"
         )

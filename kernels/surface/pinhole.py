@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lightstage.dag.stage import StageError
+from lightstage.kernels.errors import KernelError
 
 Array = NDArray[np.float64]
 
@@ -37,11 +37,13 @@ class Pinhole:
         """From a camera item, for pictures of `shape`.
 
         Raises:
-            StageError: the item is for pictures of another size.
+            KernelError: the item is for pictures of another size.
         """
         width, height = item["size_px"]
         if (height, width) != tuple(shape):
-            raise StageError(f"the camera item is for {width} x {height}; the pictures are {shape[1]} x {shape[0]}")
+            raise KernelError(
+                f"the camera item is for {width} x {height}; the pictures are {shape[1]} x {shape[0]}"
+            )
         matrix = np.asarray(item["K"], float)
         k1, k2, p1, p2, k3 = (float(v) for v in item["distortion"])
         pose = item["world_to_camera"]

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares, linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
-from lightstage.dag.stage import StageError
+from lightstage.kernels.errors import KernelError
 from lightstage.kernels.targets.light_rays import (
     Floats,
     across_rays,
@@ -93,7 +93,7 @@ def refine(
         ball_sigma_mm: how well the balls' centres are known, across the line of sight and along it.
 
     Raises:
-        StageError: fewer than four lights seen, or the directions do not fit the layout.
+        KernelError: fewer than four lights seen, or the directions do not fit the layout.
     """
     balls, lights = at_px.shape[:2]
     every = np.arange(lights)
@@ -109,7 +109,7 @@ def refine(
     shown = np.isfinite(directions[..., 0])
     seen: NDArray[np.bool_] = np.any(shown, axis=0)
     if seen.sum() < 4:
-        raise StageError(f"{seen.sum()} lights were seen on the ball; the layout needs four or more")
+        raise KernelError(f"{seen.sum()} lights were seen on the ball; the layout needs four or more")
     first = shown.argmax(0)
     start = on_stage(points[first, every], directions[first, every], radius_mm)
     unit = start / np.linalg.norm(start, axis=1, keepdims=True)
@@ -122,7 +122,7 @@ def refine(
     place, findings = _wiring(unit, layout @ turn.T, sigma_rad[first, every], seen, gate)
     used = np.flatnonzero(seen & (place >= 0))
     if used.size < max(4, seen.sum() / 2):
-        raise StageError("the directions do not fit the layout; check the camera's pose and the layout's order")
+        raise KernelError("the directions do not fit the layout; check the camera's pose and the layout's order")
     sigma_ray = sigma_rad * np.linalg.norm(start - points, axis=2)
     across = np.hypot(placement_sigma_mm, sigma_ray)
 

@@ -32,6 +32,7 @@ from lightstage.dag.stage import (
     StageError,
 )
 from lightstage.hw.geodesic import light_positions
+from lightstage.kernels.errors import KernelError
 from lightstage.kernels.targets.ball_conic import sphere_centre
 from lightstage.kernels.targets.ball_outline import find_outline
 from lightstage.kernels.targets.light_positions import Camera, refine
@@ -144,7 +145,7 @@ def lights(
             mean += picture
         try:
             outlines.append(_nearby(find_outline(mean / len(pictures), mask=mask, **lens), ring[ball], lens))
-        except StageError:
+        except KernelError:
             outlines.append(_kept(ring[ball], lens))  # the one-light pictures may show no outline at all
     out: dict[str, Any] = {
         "at_px": at,
