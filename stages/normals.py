@@ -28,9 +28,10 @@ from pydantic import Field
 
 from lightstage.dag.stage import Arrangement, Grid, Group, Input, Items, Needs, Output, Params, Stage, StageError
 from lightstage.kernels.normals import one_light, rig_normals, spherical_gradients
+from lightstage.kernels.normals.gradient_methods import table
 from lightstage.kernels.normals.normal_filter import non_local_means
 from lightstage.kernels.normals.rig_normals import RIG_MODELS, VISIBILITY_STEPS
-from lightstage.kernels.normals.spherical_gradients import FILL, STEPS, table
+from lightstage.kernels.normals.spherical_gradients import FILL, STEPS
 from lightstage.kernels.pictures.band_fusion import fuse as fuse_bands
 from lightstage.kernels.pictures.picture_sets import Choice, Window, choose, chosen_sets, windows
 

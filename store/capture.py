@@ -17,11 +17,11 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
+from lightstage.hw import illuminations
 from lightstage.store import document
 from lightstage.store.errors import RequestError, raise_all
 from lightstage.store.picture import EXTENSIONS, Picture, PictureError, declared, decode, linear_from_srgb
 
-ILLUMINATION = re.compile(r"C|[XYZ]c?|L[0-9]{1,6}|T[0-3]|O")
 SESSION_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 NAME_RULE = "up to 100 letters, digits, dots, dashes and underscores, of which the first is a letter or digit"
 Polarisation = Literal["parallel", "cross", "unpolarised"]
@@ -62,7 +62,7 @@ class Frame(_Part):
 
     @model_validator(mode="after")
     def _known(self) -> "Frame":
-        if not ILLUMINATION.fullmatch(self.illumination):
+        if not illuminations.is_known(self.illumination):
             raise ValueError(
                 f"the illumination '{self.illumination}' is not known; expected C, X, Y, Z, Xc, Yc, Zc, "
                 "L with a light number, T0 to T3, or O"

@@ -24,6 +24,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from lightstage.hw.illuminations import AXES, CONSTANT, complement, pairs
 from lightstage.kernels.errors import KernelError
 from lightstage.kernels.pictures.band_fusion import noise_model
 from lightstage.kernels.surface.visibility import in_parts
@@ -88,18 +89,17 @@ def _measure_band(pictures: Mapping[str, NDArray[np.float32]]) -> tuple[Array, A
         return np.asarray(1 / (alpha + beta * level))
 
     weights = {name: precision(name) for name in pictures}
-    total = weights.get("C", np.zeros(known.shape))
-    constant = total * np.where(known, pictures["C"], 0) if "C" in pictures else np.zeros(known.shape)
-    for axis in "XYZ":
-        if axis in pictures and axis + "c" in pictures:
-            both = 1 / (1 / weights[axis] + 1 / weights[axis + "c"])
-            total = total + both
-            constant = constant + both * np.where(known, pictures[axis] + pictures[axis + "c"], 0)
+    total = weights.get(CONSTANT, np.zeros(known.shape))
+    constant = total * np.where(known, pictures[CONSTANT], 0) if CONSTANT in pictures else np.zeros(known.shape)
+    for gradient, opposite in pairs(pictures):
+        both = 1 / (1 / weights[gradient] + 1 / weights[opposite])
+        total = total + both
+        constant = constant + both * np.where(known, pictures[gradient] + pictures[opposite], 0)
     constant = constant / np.maximum(total, 1e-30)
     vector = np.zeros((*known.shape, 3))
-    for i, axis in enumerate("XYZ"):
+    for i, axis in enumerate(AXES):
         seen = np.zeros(known.shape)
-        for name, sign in ((axis, 1), (axis + "c", -1)):
+        for name, sign in ((axis, 1), (complement(axis), -1)):
             if name in pictures:
                 vector[..., i] += sign * weights[name] * (2 * np.where(known, pictures[name], 0) - constant)
                 seen += weights[name]

@@ -26,6 +26,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from lightstage.hw.illuminations import CONSTANT, pairs
+
 Image = NDArray[np.float32]
 Array = NDArray[np.float64]
 
@@ -64,12 +66,8 @@ def _sums_apart(pictures: Mapping[str, Image]) -> _Samples | None:
     """What parts the constant picture and the sums of pairs from each other; None where there is one or none."""
     every = _every(pictures)
     # how many pictures' read noise is in each
-    same = [(pictures["C"][every].astype(np.float64), 1.0)] if "C" in pictures else []
-    same += [
-        (pictures[a][every].astype(np.float64) + pictures[a + "c"][every], 2.0)
-        for a in "XYZ"
-        if a in pictures and a + "c" in pictures
-    ]
+    same = [(pictures[CONSTANT][every].astype(np.float64), 1.0)] if CONSTANT in pictures else []
+    same += [(pictures[a][every].astype(np.float64) + pictures[b][every], 2.0) for a, b in pairs(pictures)]
     if len(same) < 2:
         return None
     # the mean of all: a level that has a sample's own noise in it would put the large ones together
@@ -163,9 +161,9 @@ def fuse(bands: Sequence[Sequence[Image]], names: Sequence[str]) -> list[Image]:
 
 def _level(pictures: Mapping[str, Image]) -> Image:
     """The constant picture, measured or made from a pair, or twice the mean of what there is."""
-    if "C" in pictures:
-        return pictures["C"]
-    for axis in "XYZ":
-        if axis in pictures and axis + "c" in pictures:
-            return pictures[axis] + pictures[axis + "c"]
+    if CONSTANT in pictures:
+        return pictures[CONSTANT]
+    if pairs(pictures):
+        gradient, opposite = pairs(pictures)[0]
+        return pictures[gradient] + pictures[opposite]
     return np.asarray(2 * sum(pictures.values()) / len(pictures), np.float32)

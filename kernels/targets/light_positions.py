@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares, linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
+from lightstage.hw.illuminations import light_name
 from lightstage.kernels.errors import KernelError
 from lightstage.kernels.targets.light_rays import (
     Floats,
@@ -159,8 +160,8 @@ def refine(
             if place[k] < 0:
                 tau = radius_sigma_mm
             elif residual[k] > 4 * float(across[ray, k].max()):
-                name = f"L{k:02d} is {residual[k]:.0f} mm off its place, more than four times what is allowed for"
-                findings.append(Finding("off its place", (int(k),), name))
+                off_by = f"{residual[k]:.0f} mm off its place, more than four times what is allowed for"
+                findings.append(Finding("off its place", (int(k),), f"{light_name(int(k))} is {off_by}"))
                 # then the place says little about it
                 tau = float(residual[k])
             matrix, vector = across_rays(points[ray, k], directions[ray, k], sigma_ray[ray, k])
@@ -173,8 +174,8 @@ def refine(
     for k in np.flatnonzero(~seen & (place >= 0)):
         # the stand hides lights at the edge of what is seen; one in the midst of it is no stand's work
         if hull is not None and cv2.pointPolygonTest(hull, (float(shows[k, 0]), float(shows[k, 1])), True) > 3:
-            name = f"L{k:02d} has no highlight of its own, though the lights around it have: dead, or not connected"
-            findings.append(Finding("dead", (int(k),), name))
+            lacks = "has no highlight of its own, though the lights around it have: dead, or not connected"
+            findings.append(Finding("dead", (int(k),), f"{light_name(int(k))} {lacks}"))
     return Refined(position, sigma, place, seen, residual, whole, x[3:6], radius_mm + x[6], ball, tuple(findings))
 
 
@@ -199,19 +200,19 @@ def _wiring(
         elif apart[i, nearest] < gate:
             place[k] = nearest
             other = [int(m) for m in lights if m != k and np.arccos(np.clip(unit[m] @ unit[k], -1, 1)) < gate]
-            what = f"L{k:02d} shows the same place as {', '.join(f'L{m:02d}' for m in other)}: place {nearest}"
+            what = f"{light_name(k)} shows the same place as {', '.join(map(light_name, other))}: place {nearest}"
             findings.append(Finding("same place", (k, *other), what))
         else:
-            what = f"L{k:02d} is {np.degrees(apart[i, nearest]):.1f} degrees from the nearest place of the layout"
-            findings.append(Finding("no place", (k,), what))
+            away = f"{np.degrees(apart[i, nearest]):.1f} degrees from the nearest place of the layout"
+            findings.append(Finding("no place", (k,), f"{light_name(k)} is {away}"))
     told = {finding.lights[0] for finding in findings}
     for k in lights.tolist():
         j = int(place[k])
         if j >= 0 and j < len(seen) and place[j] == k and k < j:
-            what = f"L{k:02d} and L{j:02d} are swapped: each shows at the other's place"
+            what = f"{light_name(k)} and {light_name(j)} are swapped: each shows at the other's place"
             findings.append(Finding("swapped", (k, j), what))
         elif j >= 0 and j != k and not (j < len(seen) and place[j] == k) and k not in told:
-            what = f"L{k:02d} shows at the place of L{j:02d}"
+            what = f"{light_name(k)} shows at the place of {light_name(j)}"
             findings.append(Finding("elsewhere", (k, j), what))
     free = [j for j in range(len(placed)) if j not in set(place.tolist())]
     for k in np.flatnonzero(~seen).tolist():

@@ -3,7 +3,7 @@
 import pytest
 
 from lightstage.kernels.errors import KernelError
-from lightstage.kernels.pictures.picture_sets import choose, chosen_sets, complement, pairs, picture_times, windows
+from lightstage.kernels.pictures.picture_sets import choose, chosen_sets, pairs, picture_times, windows
 from tests.scenes import MINIMAL
 
 SIX = ("X", "Y", "Z", "Xc", "Yc", "Zc")
@@ -25,7 +25,6 @@ def test_of_a_picture_that_stands_twice_the_nearest_counts() -> None:
 
 def test_pairs_and_complements_by_hand() -> None:
     assert pairs(["Xc", "Y", "X", "Z", "Zc", "C"]) == [(2, 0), (3, 4)]
-    assert [complement(name) for name in ("X", "Xc")] == ["Xc", "X"]
 
 
 @pytest.mark.parametrize(
