@@ -14,13 +14,13 @@ median cut of an environment.
 
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from skimage.metrics import structural_similarity
 
 from lightstage.kernels.appearance.microfacets import at_normal_incidence, shines
 from lightstage.kernels.errors import KernelError
+from lightstage.kernels.pictures.masked_mean import MaskedMean
 from lightstage.kernels.surface.interreflection import Tiles
 from lightstage.kernels.surface.pinhole import Pinhole
 from lightstage.kernels.surface.visibility import visible
@@ -169,13 +169,12 @@ def compare(picture: NDArray[np.floating], truth: NDArray[np.floating], mask: ND
 def _softened(seen: Image, known: NDArray[np.bool_], sigma: float) -> Image:
     if sigma <= 0:
         return seen
-    inside = known.astype(np.float32)
-    share = np.maximum(cv2.GaussianBlur(inside, (0, 0), sigma)[known], np.float32(1e-6))
+    around = MaskedMean(known, sigma, dtype=np.float32)
     out = np.empty_like(seen)
     layer = np.zeros(known.shape, np.float32)
     for k in range(seen.shape[1]):
         layer[known] = seen[:, k]
-        out[:, k] = cv2.GaussianBlur(layer, (0, 0), sigma)[known] / share
+        out[:, k] = around(layer)[known]
     return out
 
 

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from lightstage.hw.illuminations import AXES, CONSTANT, complement, pairs
 from lightstage.kernels.errors import KernelError
-from lightstage.kernels.pictures.band_fusion import noise_model
+from lightstage.kernels.pictures.noise import noise_model
 from lightstage.kernels.surface.visibility import in_parts
 
 Array = NDArray[np.float64]

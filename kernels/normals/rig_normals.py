@@ -7,7 +7,6 @@ and writes what comes out in the form of the stage's outputs.
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,6 +15,7 @@ from lightstage.kernels.normals import near_light, self_consistent
 from lightstage.kernels.normals.normal_filter import non_local_means
 from lightstage.kernels.normals.openness import share_of_light
 from lightstage.kernels.normals.spherical_gradients import FILL, STEPS
+from lightstage.kernels.pictures.masked_mean import MaskedMean
 from lightstage.kernels.pictures.subject_mask import find_subject, lit
 from lightstage.kernels.surface.pinhole import Pinhole
 
@@ -165,16 +165,10 @@ def _without_noise(
     values: NDArray[np.float64], variance: NDArray[np.float64], mask: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
     """Values (y, x) blurred a little, and shrunk by the share of noise in their power around each pixel."""
-
-    def mean(picture: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
-        inside = cv2.GaussianBlur(mask.astype(np.float64), (0, 0), sigma)
-        blurred = cv2.GaussianBlur(np.where(mask, picture, 0), (0, 0), sigma)
-        return np.asarray(blurred / np.maximum(inside, 1e-6))
-
-    smooth = mean(values, _EXCESS_PX)
-    noise = _BLURRED_NOISE * mean(variance, _POWER_PX)
-    power = mean(smooth**2, _POWER_PX)
-    return smooth * np.maximum(1 - noise / np.maximum(power, 1e-12), 0)
+    smooth = MaskedMean(mask, _EXCESS_PX)(values)
+    around = MaskedMean(mask, _POWER_PX)
+    noise, power = _BLURRED_NOISE * around(variance), around(smooth**2)
+    return np.asarray(smooth * np.maximum(1 - noise / np.maximum(power, 1e-12), 0))
 
 
 def surface_normals(points: NDArray[np.float64], mask: NDArray[np.bool_]) -> NDArray[np.float64]:

@@ -16,8 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightstage.kernels.errors import KernelError
+from lightstage.kernels.pictures.masked_mean import MaskedMean
 
 Array = NDArray[np.float64]
+_UNEVEN_PARTS = 80
+"""Unevenness is told of means with a sigma of the picture's width over this: wide beside noise, narrow beside a
+target."""
 
 
 @dataclass(frozen=True)
@@ -104,10 +108,8 @@ def band_scale(
         if mean < 20:
             raise KernelError(f"band {b}: the target has {mean:.1f} counts; expose it more, or check the filter")
         scale[b], error[b] = mean / reflectance[b], se / reflectance[b]
-        filled = np.where(target, (picture - dark) / response, 0)
-        wide = picture.shape[1] / 80
-        weight = cv2.GaussianBlur(target.astype(float), (0, 0), wide)
-        uneven[b] = np.std((cv2.GaussianBlur(filled, (0, 0), wide) / np.maximum(weight, 1e-9))[target]) / mean
+        local = MaskedMean(target, picture.shape[1] / _UNEVEN_PARTS, least=1e-9)((picture - dark) / response)
+        uneven[b] = np.std(local[target]) / mean
     return BandScale(scale, error, uneven, pixels)
 
 

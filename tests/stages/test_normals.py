@@ -16,7 +16,8 @@ from lightstage.kernels.errors import KernelError
 from lightstage.kernels.normals import one_light
 from lightstage.kernels.normals.gradient_methods import table
 from lightstage.kernels.normals.spherical_gradients import FILL, STEPS, solve
-from lightstage.kernels.pictures.band_fusion import fuse, noise_model
+from lightstage.kernels.pictures.band_fusion import fuse
+from lightstage.kernels.pictures.noise import noise_model
 from lightstage.stages.normals import STAGE, Choice, NormalsParams, choose, light_directions, normals, view_vectors
 from tests.scenes import STATIC, angle_deg, decoded, ideal_gradient, sphere_normals
 
