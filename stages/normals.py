@@ -71,7 +71,7 @@ def normals(
     diffuse_constant: bool,
     lights: NDArray[np.float64] | None,
     view: NDArray[np.float32] | None,
-    rig: rig_normals.Rig | None = None,
+    rig: rig_normals.Scene | None = None,
     correct: str = "none",
     fuse: str = "none",
     filter: str = "none",

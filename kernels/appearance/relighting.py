@@ -141,14 +141,14 @@ def relight(
     return Relit(out[0], out[1])
 
 
-class Likeness(NamedTuple):
+class Fidelity(NamedTuple):
     """How near a relit picture is to a true one."""
 
     psnr_db: float
     ssim: float
 
 
-def compare(picture: NDArray[np.floating], truth: NDArray[np.floating], mask: NDArray[np.bool_]) -> Likeness:
+def compare(picture: NDArray[np.floating], truth: NDArray[np.floating], mask: NDArray[np.bool_]) -> Fidelity:
     """PSNR and SSIM inside a mask.
 
     The peak is the 99.9th percentile of the truth there; no gain is fitted. SSIM (Wang et al. 2004,
@@ -163,7 +163,7 @@ def compare(picture: NDArray[np.floating], truth: NDArray[np.floating], mask: ND
     error = float(((made - true)[mask] ** 2).mean())
     options = {"data_range": peak, "gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
     _, local = structural_similarity(made, true, full=True, **options)
-    return Likeness(float(10 * np.log10(peak**2 / max(error, 1e-30))), float(local[mask].mean()))
+    return Fidelity(float(10 * np.log10(peak**2 / max(error, 1e-30))), float(local[mask].mean()))
 
 
 def _softened(seen: Image, known: NDArray[np.bool_], sigma: float) -> Image:

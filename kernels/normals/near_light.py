@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Measured:
+class LightVectors:
     """The four numbers that a set of gradients tells of each point, by band."""
 
     vector: NDArray[np.floating]
@@ -47,13 +47,13 @@ class Measured:
         """(band, y, x, xyz): m / r_c, 0 where not valid."""
         return np.asarray(self.vector / np.maximum(self.constant, 1e-12)[..., None])
 
-    def smaller(self, factor: int) -> "Measured":
+    def smaller(self, factor: int) -> "LightVectors":
         """Binned: `factor` x `factor` pixels are one."""
         share = binned((self.weight > 0).astype(float), factor)
         known = np.maximum(share, 1e-9)
         vector = np.stack([binned(self.vector[..., i], factor) / known for i in range(3)], axis=-1)
         weight = binned(self.weight, factor) * factor**2 * (share > 0.5)
-        return Measured(vector, binned(self.constant, factor) / known, weight)
+        return LightVectors(vector, binned(self.constant, factor) / known, weight)
 
 
 def binned(values: NDArray[Any], factor: int) -> Array:
@@ -63,7 +63,7 @@ def binned(values: NDArray[Any], factor: int) -> Array:
     return np.asarray(cut.reshape(*values.shape[:-2], rows, factor, columns, factor).mean(axis=(-3, -1)))
 
 
-def measure(bands: Sequence[Mapping[str, NDArray[np.float32]]]) -> Measured:
+def measure(bands: Sequence[Mapping[str, NDArray[np.float32]]]) -> LightVectors:
     """m and r_c of each band, by weighted least squares over all its pictures.
 
     With r_a = (r_c + m_a) / 2 and r_a' = (r_c - m_a) / 2 seven pictures tell four numbers. Weighting each by its
@@ -74,7 +74,7 @@ def measure(bands: Sequence[Mapping[str, NDArray[np.float32]]]) -> Measured:
     """
     measured = [_measure_band(pictures) for pictures in bands]
     vector, constant, weight = (np.stack(parts) for parts in zip(*measured, strict=True))
-    return Measured(vector, constant, weight)
+    return LightVectors(vector, constant, weight)
 
 
 def _measure_band(pictures: Mapping[str, NDArray[np.float32]]) -> tuple[Array, Array, Array]:
@@ -316,8 +316,8 @@ def _invert(
         direct[i] = total
 
 
-def fused(measured: Measured) -> Measured:
+def fused(measured: LightVectors) -> LightVectors:
     """All bands as one: the weighted mean of m / r_c, with r_c = 1."""
     total = measured.weight.sum(axis=0)
     ratio = (measured.weight[..., None] * measured.ratio()).sum(axis=0) / np.maximum(total, 1e-30)[..., None]
-    return Measured(ratio[None], (total > 0).astype(float)[None], total[None])
+    return LightVectors(ratio[None], (total > 0).astype(float)[None], total[None])

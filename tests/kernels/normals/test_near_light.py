@@ -7,7 +7,7 @@ import pytest
 
 from lightstage.kernels.errors import KernelError
 from lightstage.kernels.normals import near_light, self_consistent
-from lightstage.kernels.normals.near_light import Lights, Measured, invert, measure
+from lightstage.kernels.normals.near_light import Lights, LightVectors, invert, measure
 from lightstage.kernels.normals.normal_filter import noise_factor, non_local_means
 from lightstage.kernels.normals.rig_normals import surface_normals
 from lightstage.kernels.pictures.subject_mask import find_subject
@@ -28,7 +28,7 @@ def ball() -> tuple[Any, ...]:
     return (*near_ball(places, drive), lights_of(places, drive))
 
 
-def read(pictures: dict[str, Any]) -> Measured:
+def read(pictures: dict[str, Any]) -> LightVectors:
     return measure([{name: picture.astype(np.float32) for name, picture in pictures.items()}])
 
 
