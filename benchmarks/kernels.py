@@ -19,13 +19,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lightstage.kernels.normals.spherical_gradients import FILL, GRADIENTS, STEPS, Normals, solve, table
+from lightstage.hw.illuminations import GRADIENTS
+from lightstage.kernels.normals.gradient_methods import table
+from lightstage.kernels.normals.spherical_gradients import FILL, STEPS, Normals, solve
 
 SHAPE = (1236, 1624)
 THESIS_SECONDS = 1.78 * 3600
 """Dutta (2010) 4.4.5: MATLAB's quadprog, one 1624 x 1236 map, 3 GHz Core 2 Duo."""
 Array = NDArray[Any]
-SIX = tuple(GRADIENTS)
+SIX = GRADIENTS
 SEVEN = (*GRADIENTS, "C")
 
 
@@ -128,9 +130,9 @@ def main() -> int:
         "ours": six,
         "copy of the same bytes": copy_of(count),
     }
-    np.testing.assert_allclose(
-        naive(pictures)[0], solve([pictures[n] for n in SIX], table("difference", "", SIX)).normal, atol=1
-    )
+    how = table("difference", "", SIX)
+    solved = solve([pictures[name] for name in how.pictures], how)
+    np.testing.assert_allclose(naive(pictures)[0], solved.normal, atol=1)
     times = best(tasks, rounds)
     print(f"{platform.processor() or platform.machine()}, one thread, {SHAPE[1]} x {SHAPE[0]}, best of {rounds}\n")
     print("difference from six uint16 pictures: int16 normals, r_c, norm, valid\n")

@@ -24,6 +24,7 @@ from benchmarks.pages import put
 from benchmarks.pipeline import ROOT, command, timed
 from lightstage.kernels.motion.flow_warp import warp
 from lightstage.kernels.normals import spherical_gradients
+from lightstage.kernels.normals.gradient_methods import table
 from lightstage.kernels.normals.spherical_gradients import FILL, STEPS
 from lightstage.kernels.pictures.picture_sets import choose
 
@@ -166,7 +167,7 @@ def _with_true_flow(name: str, truth: Truth, results: dict[str, xarray.Dataset])
                 moved[names[m]] = warp(radiance[frame], known[0])
         moved["C"] = radiance[tracking]
         choice = choose(list(moved))
-        method = spherical_gradients.table(choice.method, choice.base, list(moved), qp=False)
+        method = table(choice.method, choice.base, list(moved), qp=False)
         solved = spherical_gradients.solve([moved[p] for p in method.pictures], method, view=None).normal
         unit = np.where(solved == FILL, np.nan, solved / STEPS)
         errors.append(_error(unit, surface, mask))

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from benchmarks.accuracy import DATA, DOCS, Bench, angle, truth_of
 from benchmarks.pages import put
 from lightstage.kernels.normals import near_light, self_consistent
-from lightstage.kernels.normals.near_light import Lights, Measured
+from lightstage.kernels.normals.near_light import Lights, LightVectors
 from lightstage.kernels.pictures import subject_mask
 from lightstage.kernels.surface import integration, interreflection, loose_parts, visibility
 from lightstage.kernels.surface.integration import integrate
@@ -77,7 +77,7 @@ def solved(
     *,
     lights: Lights | None = None,
     mask: Array | None = None,
-    measured: Measured | None = None,
+    measured: LightVectors | None = None,
 ) -> tuple[Array, Array]:
     """Fused normals (xyz, y, x) and depth (y, x), by the kernels."""
     measured = near_light.measure(subject.pictures) if measured is None else measured
@@ -180,11 +180,11 @@ def ablation(head: Subject) -> list[str]:
     return lines
 
 
-def _unweighted(subject: Subject) -> Measured:
+def _unweighted(subject: Subject) -> LightVectors:
     with changed(near_light, noise_model=lambda _: (1.0, 0.0)):
         flat = near_light.measure(subject.pictures)
     weight = near_light.measure(subject.pictures).weight
-    return Measured(flat.vector, flat.constant, weight)
+    return LightVectors(flat.vector, flat.constant, weight)
 
 
 def sensitivity(head: Subject) -> list[str]:

@@ -22,7 +22,7 @@ from benchmarks.near_light import Subject
 from benchmarks.pages import put
 from lightstage.hw.virtual_rig import Shot, radiance
 from lightstage.kernels.appearance.colour import encode_srgb, linear_srgb_matrix
-from lightstage.kernels.appearance.relighting import Lamps, Likeness, Surface, compare, relight
+from lightstage.kernels.appearance.relighting import Fidelity, Lamps, Surface, compare, relight
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
@@ -71,7 +71,7 @@ class Head:
         ]
         return np.stack([m.diffuse[..., 0] for m in made]), np.stack([m.specular[..., 0] for m in made])
 
-    def compared(self, made: Array, truth: Array) -> list[Likeness]:
+    def compared(self, made: Array, truth: Array) -> list[Fidelity]:
         """PSNR (dB) and SSIM of each light in front."""
         return [compare(picture, truth[k], self.mask) for picture, k in zip(made, self.front, strict=True)]
 
@@ -149,8 +149,8 @@ def gloss_table(bench: Bench) -> list[str]:
     return lines
 
 
-def _row(label: str, diffuse: list[Likeness], both: list[Likeness] | None) -> str:
-    def cells(values: list[Likeness]) -> str:
+def _row(label: str, diffuse: list[Fidelity], both: list[Fidelity] | None) -> str:
+    def cells(values: list[Fidelity]) -> str:
         psnr, ssim = np.array(values).T
         return f"{psnr.mean():.2f}, {psnr.min():.2f} | {(psnr > 30).sum()} of {len(psnr)} | {ssim.mean():.3f}"
 

@@ -77,7 +77,7 @@ def find_points(normal: "NDArray[np.float32]", session: str) -> tuple[Points, fl
     """
     import numpy as np
 
-    from lightstage.dag.stage import StageError
+    from lightstage.kernels.errors import KernelError
     from lightstage.kernels.faces.face_flow import face_flow, landed
     from lightstage.kernels.faces.face_frame import bring, filled, find_face
     from lightstage.kernels.motion.flow_warp import unit
@@ -85,7 +85,7 @@ def find_points(normal: "NDArray[np.float32]", session: str) -> tuple[Points, fl
     template, eyes = mean_face()
     try:
         matrix, fit = find_face(normal, template)
-    except StageError as error:
+    except KernelError as error:
         raise RequestError(f"session '{session}': {error}; give the eyes by hand with --points FILE") from None
     oval = np.isfinite(template[0]).astype(np.float32)
     face, _ = bring(normal, matrix, oval.shape)

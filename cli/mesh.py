@@ -381,7 +381,7 @@ def camera_of(dataset: Any, node: str, session: "Session", store: Store) -> "Pin
         RequestError: the node has no depth, or the session no camera item that fits it.
     """
     from lightstage.dag.plan import bound_items
-    from lightstage.dag.stage import StageError
+    from lightstage.kernels.errors import KernelError
     from lightstage.kernels.surface.pinhole import Pinhole
 
     if "depth_mm" not in dataset:
@@ -393,7 +393,7 @@ def camera_of(dataset: Any, node: str, session: "Session", store: Store) -> "Pin
         raise RequestError(f"session '{session.name}' has no camera item, which places points in millimetres")
     try:
         return Pinhole.of(items["camera"].values, (dataset.sizes["y"], dataset.sizes["x"]))
-    except StageError as error:
+    except KernelError as error:
         raise RequestError(f"session '{session.name}': {error}") from None
 
 

@@ -324,7 +324,7 @@ def _flow_between(a: Subject, b: Subject, sources: Mapping[str, Source], frame: 
     """From a to b; it leads through the points that somebody gave for both."""
     import numpy as np
 
-    from lightstage.dag.stage import StageError
+    from lightstage.kernels.errors import KernelError
     from lightstage.kernels.faces.face_flow import face_flow, through_points
 
     flow = face_flow(a.normal, b.normal, frame.oval(), frame.eyes_px)
@@ -334,7 +334,7 @@ def _flow_between(a: Subject, b: Subject, sources: Mapping[str, Source], frame: 
         return flow
     try:
         return through_points(flow, *(np.stack([one.framed[name] for name in names]) for one in given))
-    except StageError as error:
+    except KernelError as error:
         raise RequestError(f"--points: '{a.name}': {error}") from None
 
 
@@ -389,7 +389,7 @@ def _written(
 
     from lightstage.cli import stimulus_files as files
     from lightstage.cli.face_points import as_yaml
-    from lightstage.dag.stage import StageError
+    from lightstage.kernels.errors import KernelError
     from lightstage.kernels.faces.matching import apart, match
     from lightstage.store.digest import SHORT, digest_value
 
@@ -405,7 +405,7 @@ def _written(
         setting, luminance, tint = _setting([one.images[kind] for one, kind in group], frame, options)
         try:
             matched = match(luminance, setting, methods, mean=options.mean, contrast=options.contrast)
-        except StageError as error:
+        except KernelError as error:
             raise RequestError(str(error)) from None
         differences.append(apart(matched))
         for i, ((subject, kind), one) in enumerate(zip(group, matched, strict=True)):

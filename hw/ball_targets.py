@@ -15,6 +15,7 @@ from lightstage.hw import target_scenes as scenes
 from lightstage.hw.capture_folder import Exposure, written
 from lightstage.hw.errors import RigError
 from lightstage.hw.gradients import weights
+from lightstage.hw.illuminations import light_name
 from lightstage.hw.sensor import OFFSET, WHITE
 from lightstage.hw.virtual_rig import CAMERA_MM, RADIUS_MM, Rig, Shot
 
@@ -49,7 +50,7 @@ def mirror_ball(
     balls = [_Ball(shot, rig, place, power) for place in places]
 
     def frames() -> Iterable[Exposure]:
-        names = [f"L{k:02d}" for k in range(len(wired))] + ["C", "O"]
+        names = [light_name(k) for k in range(len(wired))] + ["C", "O"]
         for part, ball in enumerate(balls):
             for name in names:
                 yield {"illumination": name, "part": part}, {(0, 1): ball.lit(weights(name, rig.ideal)[wired])}
@@ -87,7 +88,7 @@ def sync(
 
     def frames() -> Iterable[Exposure]:
         for k in range(len(rig.lights)):
-            name = f"L{k:02d}"
+            name = light_name(k)
             yield {"illumination": name}, {(0, 1): ball.lit(weights(name, rig.ideal))}
         yield {"illumination": "C"}, {(0, 1): ball.lit(weights("C", rig.ideal))}
         yield {"illumination": "O"}, {(0, 1): ball.lit(0 * power)}
@@ -128,7 +129,7 @@ def polarisers(
             for angle in angles_deg:
                 passed = law[k, 0] + law[k, 1] * np.cos(np.radians(angle) - theta0[k]) ** 2
                 drive = np.where(np.arange(len(power)) == k, passed * exposure[k], 0)
-                keys = {"illumination": f"L{k:02d}", "polariser_deg": angle, "exposure_s": float(exposure[k])}
+                keys = {"illumination": light_name(k), "polariser_deg": angle, "exposure_s": float(exposure[k])}
                 yield keys, {(0, 1): scene.lit(drive)}
         # under all lights, turned open, the outline shows
         yield {"illumination": "C"}, {(0, 1): scene.lit(weights("C", rig.ideal))}
@@ -179,7 +180,7 @@ class _Ball:
 
 def _power(rig: Rig, generator: np.random.Generator, dead: Sequence[int]) -> Array:
     if any(not 0 <= k < len(rig.lights) for k in dead):
-        raise RigError(f"lights {list(dead)} cannot be dead: this rig has L00 to L{len(rig.lights) - 1:02d}")
+        raise RigError(f"lights {list(dead)} cannot be dead: this rig has L00 to {light_name(len(rig.lights) - 1)}")
     power = generator.uniform(0.85, 1.1, len(rig.lights))
     power[list(dead)] = 0
     return power

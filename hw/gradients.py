@@ -4,11 +4,10 @@ Gradient axis a drives the light at unit position p with (p_a + 1) / 2, its comp
 4096 steps of pulse width. The complement is 4095 minus the gradient's level, so a pair adds up exactly.
 """
 
-import re
-
 import numpy as np
 from numpy.typing import NDArray
 
+from lightstage.hw import illuminations as names
 from lightstage.hw.errors import RigError
 
 FULL = 4095
@@ -25,24 +24,24 @@ def levels(illumination: str, positions: NDArray[np.float64]) -> NDArray[np.int6
         RigError: the illumination is not known, or names a light that is not there.
     """
     count = len(positions)
-    if illumination == "C":
-        return np.full(count, FULL)
-    if illumination == "O":
-        return np.zeros(count, np.int64)
-    if re.fullmatch(r"[XYZ]c?", illumination):
+    if not names.is_known(illumination):
+        raise RigError(f"the illumination '{illumination}' is not known; expected {names.EXPECTED}")
+    if names.is_gradient(illumination):
         # halves go up, so that a level does not depend on the last digit of a coordinate
-        gradient = np.floor((positions[:, "XYZ".index(illumination[0])] + 1) / 2 * FULL + 0.5 + 1e-9).astype(
-            np.int64
-        )
-        return FULL - gradient if illumination.endswith("c") else gradient
-    if re.fullmatch(r"T[0-3]", illumination):
-        return np.where(np.arange(count) % 4 == int(illumination[1]), FULL, 0)
-    if re.fullmatch(r"L[0-9]+", illumination):
-        number = int(illumination[1:])
+        share = (positions[:, names.axis_number(illumination)] + 1) / 2
+        gradient = np.floor(share * FULL + 0.5 + 1e-9).astype(np.int64)
+        return FULL - gradient if names.is_complement(illumination) else gradient
+    light = np.arange(count)
+    if names.is_test(illumination):
+        return np.where(light % names.TEST_PATTERNS == names.test_number(illumination), FULL, 0)
+    if names.is_light(illumination):
+        number = names.light_number(illumination)
         if number >= count:
-            raise RigError(f"{illumination}: this rig has lights L00 to L{count - 1:02d}")
-        return np.where(np.arange(count) == number, FULL, 0)
-    raise RigError(f"the illumination '{illumination}' is not known; expected C, X Y Z Xc Yc Zc, L.., T0..T3 or O")
+            raise RigError(
+                f"{illumination}: this rig has lights {names.light_name(0)} to {names.light_name(count - 1)}"
+            )
+        return np.where(light == number, FULL, 0)
+    return np.full(count, FULL if illumination == names.CONSTANT else 0)
 
 
 def weights(illumination: str, positions: NDArray[np.float64]) -> NDArray[np.float64]:

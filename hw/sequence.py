@@ -28,10 +28,8 @@ from itertools import permutations, product
 from typing import Literal, NamedTuple
 
 from lightstage.hw.errors import RigError
+from lightstage.hw.illuminations import AXES, EXPECTED, GRADIENTS, complement, is_complement, is_known
 
-AXES = ("X", "Y", "Z")
-GRADIENTS = ("X", "Y", "Z", "Xc", "Yc", "Zc")
-_ILLUMINATION = re.compile(r"C|[XYZ]c?|L[0-9]{1,6}|T[0-3]|O")
 MOST_TRACKING, MOST_PICTURES = 5000, 20_000
 """Of a sequence: minutes at the fastest that cameras are."""
 _START = ("X", "Z")
@@ -64,11 +62,6 @@ class TrackingFrame:
     """For every other set, the illuminations that the window lacks."""
     flanked: tuple[str, ...]
     """Axes whose pair stands with one picture on each side, which joint photometric alignment needs."""
-
-
-def complement(gradient: str) -> str:
-    """X -> Xc, Xc -> X."""
-    return gradient[0] if gradient.endswith("c") else gradient + "c"
 
 
 def _minimal_sets() -> Iterator[tuple[str, tuple[str, ...]]]:
@@ -257,7 +250,7 @@ def _by_the_rules(before: _Gap, after: _Gap) -> bool:
 
 
 def _same_kind(a: str, b: str) -> bool:
-    return a.endswith("c") == b.endswith("c")
+    return is_complement(a) == is_complement(b)
 
 
 def _check_count(tracking: int) -> None:
@@ -271,7 +264,5 @@ def _check_names(sequence: Sequence[str]) -> None:
     if len(sequence) > MOST_PICTURES:
         raise RigError(f"the sequence has {len(sequence)} pictures; {MOST_PICTURES} are the most")
     for i, name in enumerate(sequence):
-        if not _ILLUMINATION.fullmatch(name):
-            raise RigError(
-                f"frame {i}: the illumination '{name}' is not known; expected C, X Y Z Xc Yc Zc, L.., T0..T3 or O"
-            )
+        if not is_known(name):
+            raise RigError(f"frame {i}: the illumination '{name}' is not known; expected {EXPECTED}")

@@ -25,6 +25,7 @@ from lightstage.hw.errors import RigError
 from lightstage.hw.folder import appearing, dump, save
 from lightstage.hw.geodesic import light_positions
 from lightstage.hw.gradients import weights
+from lightstage.hw.illuminations import light_name
 from lightstage.hw.motion import Pose
 from lightstage.hw.sensor import BITS, OFFSET, STORED_SCALE, WHITE, Sensor
 from lightstage.hw.sequence import static
@@ -442,7 +443,7 @@ def _write_items(shot: Shot, rig: Rig, exposures: Sequence[float], folder: Path)
             "drive": "ideal",
             "lights": [
                 {
-                    "id": f"L{k:02d}",
+                    "id": light_name(k),
                     "channel": k,
                     "position_mm": np.round(place, 3),
                     "drive_position": np.round(ideal, 8),

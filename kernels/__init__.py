@@ -1,7 +1,8 @@
 """The numerics: numpy in and numpy out, by subject.
 
 A kernel knows nothing of Dask, zarr, YAML or the graph; it imports nothing of ours but kernels and facts of the rig
-(`hw.geodesic`, `hw.color_checker`). What these folders' `__init__` files say is said to people: they hold no code.
+(`hw.illuminations`, `hw.geodesic`, `hw.color_checker`), and refuses with a `KernelError`. What these folders'
+`__init__` files say is said to people: they hold no code.
 
     pictures/     resampling, noise, blurs, the subject's mask, sets of pictures
     normals/      from gradients or single lights, with the rig's lights modelled, and filtered

@@ -1,4 +1,4 @@
-"""The error of kernels."""
+"""How a kernel refuses."""
 
 
 class KernelError(ValueError):
@@ -6,5 +6,5 @@ class KernelError(ValueError):
 
     @property
     def sentence(self) -> str:
-        """What is told to people."""
+        """What is wrong and what would be right; who called the kernel adds where."""
         return str(self)

@@ -48,7 +48,7 @@ from lightstage.dag.stage import Arrangement, Grid, Group, Input, Items, Output,
 from lightstage.kernels.motion import band_alignment, joint_flow, picture_flow
 from lightstage.kernels.motion.flow_warp import invert, warp
 from lightstage.kernels.pictures import blurs
-from lightstage.kernels.pictures.band_fusion import noise_model
+from lightstage.kernels.pictures.noise import noise_model
 from lightstage.kernels.pictures.picture_sets import Window, chosen_sets, pairs, picture_times, windows
 
 Image = NDArray[np.float32]

@@ -12,7 +12,7 @@ Without a surface there is no S: `smooth` takes the low frequencies of constant 
 shading. That takes what is smooth in the skin with it, and rho is right up to it. Without lights or bands rho is
 relative: 1 is the brightest point.
 
-The standard error is that of the pictures' noise, measured in the capture (`band_fusion.noise_model`); the error of
+The standard error is that of the pictures' noise, measured in the capture (`noise.noise_model`); the error of
 S is not in it.
 
 Must have run before: align and normals.
@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from lightstage.dag.stage import Arrangement, Grid, Group, Input, Items, Needs, Output, Params, Stage, StageError
-from lightstage.kernels.pictures.band_fusion import noise_model
+from lightstage.kernels.pictures.noise import noise_model
 from lightstage.kernels.pictures.subject_mask import find_subject
 from lightstage.kernels.surface.interreflection import Tiles
 from lightstage.kernels.surface.pinhole import Pinhole

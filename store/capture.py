@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
+from lightstage.hw import illuminations
 from lightstage.store import document
 from lightstage.store.errors import RequestError, raise_all
 from lightstage.store.picture import EXTENSIONS, PictureError, declared, decode, linear_from_srgb
@@ -24,7 +25,6 @@ from lightstage.store.picture import EXTENSIONS, PictureError, declared, decode,
 if TYPE_CHECKING:
     from lightstage.store.picture import Picture
 
-ILLUMINATION = re.compile(r"C|[XYZ]c?|L[0-9]{1,6}|T[0-3]|O")
 SESSION_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 NAME_RULE = "up to 100 letters, digits, dots, dashes and underscores, of which the first is a letter or digit"
 Polarisation = Literal["parallel", "cross", "unpolarised"]
@@ -65,7 +65,7 @@ class Frame(_Part):
 
     @model_validator(mode="after")
     def _known(self) -> "Frame":
-        if not ILLUMINATION.fullmatch(self.illumination):
+        if not illuminations.is_known(self.illumination):
             raise ValueError(
                 f"the illumination '{self.illumination}' is not known; expected C, X, Y, Z, Xc, Yc, Zc, "
                 "L with a light number, T0 to T3, or O"

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lightstage.hw import illuminations
 from lightstage.store.calibration import Item, StoredPicture, get_item, items_in, put_item
 from lightstage.store.capture import NAME_RULE, SESSION_NAME, Capture, PictureFile, read_captures
 from lightstage.store.chunks import ChunkRef, Chunks, Staging
@@ -377,8 +378,8 @@ def _verdict(session: Session, store: Store) -> Iterable[dict[str, Any]]:
                     saturated = max(saturated, float(np.mean(picture >= white)))
                     under = max(under, float(np.mean(picture < offset + 0.02 * (white - offset))))
                 residual = None
-                opposite = illumination[0] + ("" if illumination.endswith("c") else "c")
-                if illumination[0] in "XYZ" and opposite in frames and "C" in frames:
+                opposite = illuminations.complement(illumination)
+                if illuminations.is_gradient(illumination) and opposite in frames and "C" in frames:
                     first = _nearest(indices[0], frames[opposite])
                     constant = load(_nearest(indices[0], frames["C"]), b, p) - offset
                     total = load(indices[0], b, p) + load(first, b, p).astype(np.float64) - 2 * offset

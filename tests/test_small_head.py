@@ -1,9 +1,10 @@
-"""README's figures of accuracy, on the small capture that the repository carries: a clean clone can be held to them.
+"""README's figures of accuracy, on the small capture that the repository carries.
 
-`tests/data/small_head` is a head of the virtual rig, 112 x 84 pixels, three bands, both cameras, 10 bits with noise, made
-once by `lightstage demo --session small-head --size 112x84 --bands 445,576,655 --seed 8`. So small a head is harder than
-a large one: a pixel is 3 mm wide. Pictures and noise are fixed, and results are equal to rounding on all processors,
-so what these figures may move by is what a change of methods does; each limit is 3 % above what was measured.
+`tests/data/small_head` is a head of the virtual rig, 112 x 84 pixels, three bands, both cameras, 10 bits with
+noise, made once by `lightstage demo --session small-head --size 112x84 --bands 445,576,655 --seed 8`. So small a
+head is harder than a large one: a pixel is 3 mm wide. Pictures and noise are fixed, and results are equal to
+rounding on all processors, so what these figures may move by is what a change of methods does; each limit is 3 %
+above what was measured.
 """
 
 from collections.abc import Callable

@@ -19,7 +19,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lightstage.dag.stage import StageError
+from lightstage.kernels.errors import KernelError
 
 Array = NDArray[np.float64]
 PassBand = Literal["flat", "gaussian"]
@@ -90,7 +90,7 @@ def pass_bands(bands: Sequence[Mapping[str, Any]], shape: PassBand = "gaussian")
         shape: of a band without a curve: gaussian, width_nm at half maximum; or flat, width_nm wide.
 
     Raises:
-        StageError: a band has no width, or reaches beyond the table.
+        KernelError: a band has no width, or reaches beyond the table.
     """
     rows = [_pass_band(band, shape) for band in bands]
     return np.stack(rows) if rows else np.empty((0, len(NM)))
@@ -103,7 +103,7 @@ def _pass_band(band: Mapping[str, Any], shape: PassBand) -> Array:
         first, last = nm[0], nm[-1]
         passing = np.interp(NM, nm, np.maximum(value, 0), left=0, right=0)
     elif width is None:
-        raise StageError(
+        raise KernelError(
             f"the bands item gives no width_nm for the band at {centre:g} nm; pigments need the pass band of each "
             "filter, its width_nm or its curve"
         )
@@ -114,7 +114,7 @@ def _pass_band(band: Mapping[str, Any], shape: PassBand) -> Array:
         first, last = centre - width / 2, centre + width / 2
         passing = np.exp(-4 * np.log(2) * ((NM - centre) / width) ** 2)
     if first < NM[0] or last > NM[-1] or not passing.any():
-        raise StageError(
+        raise KernelError(
             f"the band at {centre:g} nm reaches from {first:g} to {last:g} nm; absorption is tabulated from "
             f"{NM[0]:g} to {NM[-1]:g} nm"
         )

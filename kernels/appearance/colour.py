@@ -25,8 +25,8 @@ import colour
 import numpy as np
 from numpy.typing import NDArray
 
-from lightstage.dag.stage import StageError
 from lightstage.kernels.appearance import absorption
+from lightstage.kernels.errors import KernelError
 
 Array = NDArray[np.float64]
 NM = np.arange(380.0, 781.0, 1.0)
@@ -48,13 +48,13 @@ def observed(illuminant: str = "D65") -> Array:
         illuminant: a CIE illuminant by its name, such as D65, D50, A, E, FL2.
 
     Raises:
-        StageError: there is no such illuminant.
+        KernelError: there is no such illuminant.
     """
     observer = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"].copy()
     shape = colour.SpectralShape(NM[0], NM[-1], NM[1] - NM[0])
     if illuminant not in colour.SDS_ILLUMINANTS:
         known = ", ".join(sorted(colour.SDS_ILLUMINANTS))
-        raise StageError(f"'{illuminant}' is no CIE illuminant; there are {known}")
+        raise KernelError(f"'{illuminant}' is no CIE illuminant; there are {known}")
     light = np.asarray(colour.SDS_ILLUMINANTS[illuminant].copy().align(shape).values)
     seen = np.asarray(observer.align(shape).values) * light[:, None]
     return np.asarray(seen.T / seen[:, 1].sum())

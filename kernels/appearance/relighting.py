@@ -14,13 +14,13 @@ median cut of an environment.
 
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from skimage.metrics import structural_similarity
 
-from lightstage.dag.stage import StageError
 from lightstage.kernels.appearance.microfacets import at_normal_incidence, shines
+from lightstage.kernels.errors import KernelError
+from lightstage.kernels.pictures.masked_mean import MaskedMean
 from lightstage.kernels.surface.interreflection import Tiles
 from lightstage.kernels.surface.pinhole import Pinhole
 from lightstage.kernels.surface.visibility import visible
@@ -96,12 +96,12 @@ def relight(
         edge_px: sigma over which shadows are averaged.
 
     Raises:
-        StageError: there is no surface.
+        KernelError: there is no surface.
     """
     known = np.isfinite(surface.normal).all(axis=2) & np.isfinite(surface.depth_mm)
     known &= np.isfinite(surface.albedo).all(axis=2)
     if not known.any():
-        raise StageError("no pixel has a normal, a depth and an albedo; there is nothing to relight")
+        raise KernelError("no pixel has a normal, a depth and an albedo; there is nothing to relight")
     points = camera.points(surface.depth_mm)[known]
     normal = surface.normal[known]
     view = camera.centre - points
@@ -141,14 +141,14 @@ def relight(
     return Relit(out[0], out[1])
 
 
-class Likeness(NamedTuple):
+class Fidelity(NamedTuple):
     """How near a relit picture is to a true one."""
 
     psnr_db: float
     ssim: float
 
 
-def compare(picture: NDArray[np.floating], truth: NDArray[np.floating], mask: NDArray[np.bool_]) -> Likeness:
+def compare(picture: NDArray[np.floating], truth: NDArray[np.floating], mask: NDArray[np.bool_]) -> Fidelity:
     """PSNR and SSIM inside a mask.
 
     The peak is the 99.9th percentile of the truth there; no gain is fitted. SSIM (Wang et al. 2004,
@@ -163,19 +163,18 @@ def compare(picture: NDArray[np.floating], truth: NDArray[np.floating], mask: ND
     error = float(((made - true)[mask] ** 2).mean())
     options = {"data_range": peak, "gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
     _, local = structural_similarity(made, true, full=True, **options)
-    return Likeness(float(10 * np.log10(peak**2 / max(error, 1e-30))), float(local[mask].mean()))
+    return Fidelity(float(10 * np.log10(peak**2 / max(error, 1e-30))), float(local[mask].mean()))
 
 
 def _softened(seen: Image, known: NDArray[np.bool_], sigma: float) -> Image:
     if sigma <= 0:
         return seen
-    inside = known.astype(np.float32)
-    share = np.maximum(cv2.GaussianBlur(inside, (0, 0), sigma)[known], np.float32(1e-6))
+    around = MaskedMean(known, sigma, dtype=np.float32)
     out = np.empty_like(seen)
     layer = np.zeros(known.shape, np.float32)
     for k in range(seen.shape[1]):
         layer[known] = seen[:, k]
-        out[:, k] = cv2.GaussianBlur(layer, (0, 0), sigma)[known] / share
+        out[:, k] = around(layer)[known]
     return out
 
 
@@ -201,11 +200,11 @@ def median_cut(environment: NDArray[np.floating], count: int) -> tuple[Array, Ar
         unit vectors (light, xyz), and strengths (light, channel): radiance times solid angle over pi.
 
     Raises:
-        StageError: the environment is black, negative or not finite.
+        KernelError: the environment is black, negative or not finite.
     """
     values = np.asarray(environment, np.float64)
     if values.ndim != 3 or not np.isfinite(values).all() or (values < 0).any() or not values.any():
-        raise StageError(
+        raise KernelError(
             "an environment needs finite radiance of at least 0 and somewhere above 0, (y, x, channel)"
         )
     height, width = values.shape[:2]

@@ -30,7 +30,7 @@ import scipy.sparse.linalg
 from numpy.typing import NDArray
 from skimage.transform import ThinPlateSplineTransform
 
-from lightstage.dag.stage import StageError
+from lightstage.kernels.errors import KernelError
 from lightstage.kernels.faces.face_frame import filled
 from lightstage.kernels.motion.flow_warp import invert, unit, warp
 
@@ -101,7 +101,7 @@ def through_points(flow: Image, first: Array, second: Array) -> Image:
     What the flow lacks there is spread by a thin-plate spline, which holds the border of the frame.
 
     Raises:
-        StageError: two points of one face are the same.
+        KernelError: two points of one face are the same.
     """
     rows, columns = flow.shape[1:]
     across, down = np.meshgrid(np.linspace(0, columns - 1, 4), np.linspace(0, rows - 1, 4))
@@ -111,7 +111,7 @@ def through_points(flow: Image, first: Array, second: Array) -> Image:
     start = np.concatenate([first, held])
     apart = np.linalg.norm(start[:, None] - start[None], axis=2) + np.eye(len(start)) * columns
     if apart.min() < 1e-6:
-        raise StageError("two points of one face are the same; each needs a place of its own")
+        raise KernelError("two points of one face are the same; each needs a place of its own")
     spline = ThinPlateSplineTransform.from_estimate(start, start + np.concatenate([lacking, 0 * held]))
     y, x = np.mgrid[:rows, :columns]
     grid = np.stack([x.ravel(), y.ravel()], axis=1).astype(np.float64)

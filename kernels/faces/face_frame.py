@@ -18,7 +18,7 @@ import scipy.ndimage
 import scipy.optimize
 from numpy.typing import NDArray
 
-from lightstage.dag.stage import StageError
+from lightstage.kernels.errors import KernelError
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -84,7 +84,7 @@ def bring(picture: Image, matrix: Array, shape: tuple[int, int]) -> tuple[Image,
         (channel, y, x), what is not valid filled from the nearest valid pixel; (y, x) where it is valid.
 
     Raises:
-        StageError: nothing is valid.
+        KernelError: nothing is valid.
     """
     known = np.isfinite(picture).all(axis=0)
     whole = filled(picture)
@@ -102,11 +102,11 @@ def filled(picture: Image) -> Image:
     """A picture (channel, y, x) whose unknown pixels (NaN in any channel) take the nearest known one's values.
 
     Raises:
-        StageError: nothing is known.
+        KernelError: nothing is known.
     """
     known = np.isfinite(picture).all(axis=0)
     if not known.any():
-        raise StageError("the picture holds no valid pixel")
+        raise KernelError("the picture holds no valid pixel")
     if known.all():
         return picture
     rows, columns = scipy.ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
@@ -132,7 +132,7 @@ def find_face(normal: Image, template: Image) -> tuple[Array, float]:
         (2, 3): template pixel (x, y, 1) -> picture pixel; and the correlation of slopes there, up to 1.
 
     Raises:
-        StageError: nothing in the picture looks like the template.
+        KernelError: nothing in the picture looks like the template.
     """
     there = np.isfinite(normal).all(axis=0)
     factor = _SEARCH_PX / min(normal.shape[1:])
@@ -149,7 +149,7 @@ def find_face(normal: Image, template: Image) -> tuple[Array, float]:
         _, top, _, (x, y) = cv2.minMaxLoc(np.nan_to_num(score))
         best = max(best, (top, float(scale), x, y))
     if best[0] <= 0 or not there.any():
-        raise StageError("no face is found in the normals")
+        raise KernelError("no face is found in the normals")
     rows, columns = np.mgrid[: wanted.shape[0], : wanted.shape[1]].astype(np.float64)
     centre = np.array([(wanted.shape[1] - 1) / 2, (wanted.shape[0] - 1) / 2])
 
@@ -171,7 +171,7 @@ def find_face(normal: Image, template: Image) -> tuple[Array, float]:
     off = misfit(found.x) + wanted.ravel()
     score = float(off @ wanted.ravel() / np.sqrt((off @ off) * float((wanted**2).sum()) + 1e-12))
     if not score > _FOUND:
-        raise StageError(f"no face is found in the normals (fit {score:.2f}, a face has {_FOUND:g} and more)")
+        raise KernelError(f"no face is found in the normals (fit {score:.2f}, a face has {_FOUND:g} and more)")
     # pixel centres of the search picture are at (x + 1/2) factor - 1/2
     matrix = matrix / factor
     matrix[:, 2] += 0.5 / factor - 0.5

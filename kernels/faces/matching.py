@@ -34,7 +34,7 @@ import numpy as np
 import scipy.optimize
 from numpy.typing import NDArray
 
-from lightstage.dag.stage import StageError
+from lightstage.kernels.errors import KernelError
 
 Array = NDArray[np.float64]
 Codes = NDArray[np.uint8]
@@ -164,15 +164,15 @@ def match(
         mean, contrast: luminance to meet, 0 to 1, instead of the set's own.
 
     Raises:
-        StageError: a method is not known, or a face has no contrast.
+        KernelError: a method is not known, or a face has no contrast.
     """
     wrong = [name for name in methods if name not in METHODS]
     if wrong:
-        raise StageError(f"'{wrong[0]}' is no way of matching; there are {', '.join(METHODS)}")
+        raise KernelError(f"'{wrong[0]}' is no way of matching; there are {', '.join(METHODS)}")
     inside = setting.oval > 0
     own = np.array([(face[inside].mean(), face[inside].std()) for face in faces])
     if (own[:, 1] < 1e-6).any():
-        raise StageError("a picture has no contrast within the oval, so it cannot be matched")
+        raise KernelError("a picture has no contrast within the oval, so it cannot be matched")
     usual = own.mean(axis=0)
     wanted = (usual[0] if mean is None else mean, usual[1] if contrast is None else contrast)
     if np.isnan(setting.background):

@@ -39,8 +39,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from lightstage.hw.illuminations import CONSTANT, pairs
 from lightstage.kernels.motion.joint_flow import Features, depth_of, fine_texture, halved, match, subject_of
 from lightstage.kernels.pictures import blurs
+from lightstage.kernels.pictures.masked_mean import MaskedMean
+from lightstage.kernels.pictures.noise import finest_detail
 
 Image = NDArray[np.float32]
 Kind = Literal["specular", "relief", "gradient"]
@@ -52,6 +55,8 @@ _PREFILTER_PX = 1.2
 """Noise pulls flows away from whole pixels, because interpolation smoothes it everywhere else."""
 _WINDOW_PX = 8.0
 """Of local powers."""
+_LEAST_SHARE = 1e-3
+"""Of a window that is known: where less is, a mean is over nearly nothing."""
 _CHANCE = np.float32(1.5)
 """What power noise alone may have in a window by chance, of its mean: only what is beyond counts as signal."""
 _FACTOR: Mapping[Kind, float] = {"specular": 1.0, "relief": 1.0, "gradient": 0.1}
@@ -102,8 +107,8 @@ def gathered(pictures: Mapping[str, Image], components: Sequence[str], *, still:
         still: whether the subject held still within the set. Then all its pictures count, in sum: every band has
             the same ones. If not, constant light C alone does, and there is no relief.
     """
-    if not still and "C" in pictures:
-        pictures = {"C": pictures["C"]}
+    if not still and CONSTANT in pictures:
+        pictures = {CONSTANT: pictures[CONSTANT]}
     diffuse = {name: picture[0] for name, picture in pictures.items()}
     total, one = _summed(diffuse)
     light = Light(total, _spread(one * np.float32(len(pictures))))
@@ -111,12 +116,12 @@ def gathered(pictures: Mapping[str, Image], components: Sequence[str], *, still:
         place = list(components).index("specular")
         total, noise = _summed({name: picture[place] for name, picture in pictures.items()})
         light = light._replace(specular=total, specular_noise=_spread(noise * np.float32(len(pictures))))
-    pairs = [(diffuse[a], diffuse[a + "c"]) for a in "XYZ" if {a, a + "c"} <= diffuse.keys()]
-    if pairs:
-        constant = np.asarray(sum(a + b for a, b in pairs) / np.float32(len(pairs)), np.float32)
+    couples = [(diffuse[gradient], diffuse[opposite]) for gradient, opposite in pairs(diffuse)]
+    if couples:
+        constant = np.asarray(sum(a + b for a, b in couples) / np.float32(len(couples)), np.float32)
         floor = _DARK * np.float32(_bright(constant))
         light = light._replace(
-            shares=tuple(1 + (a - b) / np.maximum(a + b, floor) for a, b in pairs),
+            shares=tuple(1 + (a - b) / np.maximum(a + b, floor) for a, b in couples),
             # of equal noise in both, and as many in the darker half as in the brighter
             share_noise=_spread(2 * one / np.maximum(constant, floor) ** 2),
         )
@@ -126,13 +131,11 @@ def gathered(pictures: Mapping[str, Image], components: Sequence[str], *, still:
 def _summed(pictures: Mapping[str, Image]) -> tuple[Image, Image]:
     """The sum of pictures (y, x), and the square of one picture's noise, pixel by pixel."""
     total = np.asarray(sum(pictures.values()), np.float32)
-    pairs = [a for a in "XYZ" if {a, a + "c", "C"} <= pictures.keys()]
-    if pairs:
+    if CONSTANT in pictures and pairs(pictures):
         # r_a + r_a' - r_c is the noise of three pictures
-        gaps = [pictures[a] + pictures[a + "c"] - pictures["C"] for a in pairs]
+        gaps = [pictures[a] + pictures[b] - pictures[CONSTANT] for a, b in pairs(pictures)]
         return total, np.asarray(sum(gap**2 for gap in gaps) / np.float32(3 * len(gaps)), np.float32)
-    plane_blind = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32) / 6
-    return total, cv2.filter2D(total, -1, plane_blind) ** 2 / np.float32(len(pictures))
+    return total, np.asarray(finest_detail(total) ** 2 / np.float32(len(pictures)), np.float32)
 
 
 def band_flow(here: Light, there: Light, *, kinds: Sequence[Kind] = KINDS) -> BandFlow:
@@ -282,6 +285,5 @@ def _bright(picture: Image) -> float:
 
 def _spread(image: Image) -> Image:
     """The mean over a window, of what is known."""
-    known = np.isfinite(image)
-    part = np.maximum(blurs.gaussian(known.astype(np.float32), _WINDOW_PX), np.float32(1e-3))
-    return np.asarray(blurs.gaussian(np.where(known, image, np.float32(0)), _WINDOW_PX) / part)
+    mean = MaskedMean(np.isfinite(image), _WINDOW_PX, least=_LEAST_SHARE, blur=blurs.gaussian, dtype=np.float32)
+    return mean(image)

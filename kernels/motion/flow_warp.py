@@ -20,6 +20,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from lightstage.kernels.pictures.keys_cubic import weights_of_one
+
 Image = NDArray[np.float32]
 Interpolation = Literal["linear", "cubic", "spline"]
 INTERPOLATIONS: tuple[Interpolation, ...] = ("linear", "cubic", "spline")
@@ -316,16 +318,14 @@ def _pull_two(layers: Image, flow: Image, out: Image) -> None:
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=_FAST, inline="always")
 def _weights(t: Any, spline: bool) -> Any:
-    """The weights of four neighbours at fraction t behind the second: cubic B-spline, or Keys with a = -1/2."""
-    s = _ONE - t
+    """The weights of four neighbours at fraction t behind the second: cubic B-spline, or Keys."""
     if spline:
+        s = _ONE - t
         sixth = np.float32(1 / 6)
         w0, w3 = s * s * s * sixth, t * t * t * sixth
         w1 = np.float32(2 / 3) - t * t * (_ONE - _HALF * t)
         return w0, w1, _ONE - w0 - w1 - w3, w3
-    w0, w3 = -_HALF * t * s * s, -_HALF * s * t * t
-    w1 = (np.float32(1.5) * t - np.float32(2.5)) * t * t + _ONE
-    return w0, w1, _ONE - w0 - w1 - w3, w3
+    return weights_of_one(t)
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=_FAST)

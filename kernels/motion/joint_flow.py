@@ -41,6 +41,8 @@ from numpy.typing import NDArray
 
 from lightstage.kernels.motion.block_grid import FLAGS, MASS, edges_of, minimise
 from lightstage.kernels.pictures import blurs
+from lightstage.kernels.pictures.keys_cubic import weights_and_slopes
+from lightstage.kernels.pictures.masked_mean import MaskedMean
 
 Image = NDArray[np.float32]
 DARK = 0.03
@@ -59,6 +61,8 @@ _ADAPTED = 0.1
 _START_PX = 1 / 16
 """Steps of a start: it comes from OpenCV, whose last bits differ between processors."""
 _ROOT_FLOOR = np.float32(0.02)
+_LEAST_SHARE = 1e-3
+"""Of a window that is lit: where less is, a mean is over nearly nothing."""
 _RIM_PART = np.float32(2.1)
 _SWAY = 5.2
 """So much larger than these two is the error: nine in ten of the pixels that are wrong by more than a pixel have
@@ -453,17 +457,13 @@ def fine_texture(image: Image, lit: NDArray[np.bool_], sigma: float = _SIGMA_PX)
     `sigma`, pixels, is that of the local mean. In place where it can be.
     """
     weight = lit.astype(np.float32)
-    part = blurs.gaussian(weight, sigma)
-    np.maximum(part, np.float32(1e-3), out=part)
-    mean = blurs.gaussian(image * weight, sigma)
-    mean /= part
+    local_mean = MaskedMean(lit, sigma, least=_LEAST_SHARE, blur=blurs.gaussian, dtype=np.float32)
+    mean = local_mean(image)
     out = image - mean
     np.maximum(mean, _ROOT_FLOOR, out=mean)
     out /= mean
     out *= weight
-    mean = blurs.gaussian(out, sigma)
-    mean /= part
-    out -= mean
+    out -= local_mean(out)
     out *= weight
     return np.asarray(out)
 
@@ -624,8 +624,8 @@ def _sum_up(
                         if not known[m, iy + int(u + half), ix + int(t + half)]:
                             seen[m] = False
                             continue
-                        _cubic(t, wx, dx)
-                        _cubic(u, wy, dy)
+                        weights_and_slopes(t, wx, dx)
+                        weights_and_slopes(u, wy, dy)
                         for q in range(2):
                             v, gx, gy = np.float32(0), np.float32(0), np.float32(0)
                             for j in range(4):
@@ -684,19 +684,3 @@ def _sum_up(
                         gradient[cell_y + (q >> 1), cell_x + (q & 1), e] += corner[q, e]
                     for f in range(e, size):
                         hessian[cell_y, cell_x, e, f] = hessian[cell_y, cell_x, f, e] = square[e, f]
-
-
-@njit(inline="always", **FLAGS)
-def _cubic(t: np.float32, weight: Image, slope: Image) -> None:
-    """Keys' cubic with a = -1/2 at fraction t behind the second of four samples, and its derivative."""
-    half, two = np.float32(0.5), np.float32(2)
-    t2 = t * t
-    t3 = t2 * t
-    weight[0] = -half * t3 + t2 - half * t
-    weight[1] = np.float32(1.5) * t3 - np.float32(2.5) * t2 + np.float32(1)
-    weight[2] = np.float32(-1.5) * t3 + two * t2 + half * t
-    weight[3] = half * t3 - half * t2
-    slope[0] = np.float32(-1.5) * t2 + two * t - half
-    slope[1] = np.float32(4.5) * t2 - np.float32(5) * t
-    slope[2] = np.float32(-4.5) * t2 + np.float32(4) * t + half
-    slope[3] = np.float32(1.5) * t2 - t

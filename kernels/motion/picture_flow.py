@@ -33,6 +33,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
+from lightstage.kernels.pictures.masked_mean import MaskedMean
+
 Image = NDArray[np.float32]
 """(y, x)."""
 Flow = NDArray[np.float32]
@@ -266,7 +268,6 @@ def _normalised(picture: Image, name: str, sigma: float) -> Image:
     """
     filled = _filled(picture, name)
     floor = _FLOOR * _bright(filled)
-    weight = (np.isfinite(picture) & (filled > floor)).astype(np.float32)
-    total = cv2.GaussianBlur(filled * weight, (0, 0), sigma)
-    mean = total / np.maximum(cv2.GaussianBlur(weight, (0, 0), sigma), np.float32(1e-6))
-    return cast(Image, weight * (filled - mean) / (mean + floor))
+    lit = np.isfinite(picture) & (filled > floor)
+    mean = MaskedMean(lit, sigma, dtype=np.float32)(filled)
+    return cast(Image, lit.astype(np.float32) * (filled - mean) / (mean + floor))

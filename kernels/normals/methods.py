@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from lightstage.kernels.encodings import NORMAL_FILL, NORMAL_STEPS
 from lightstage.kernels.errors import KernelError
 from lightstage.kernels.normals import one_light, rig_normals, spherical_gradients
+from lightstage.kernels.normals.gradient_methods import table
 from lightstage.kernels.normals.normal_filter import non_local_means
-from lightstage.kernels.normals.spherical_gradients import table
 from lightstage.kernels.pictures.band_fusion import fuse as fuse_bands
 from lightstage.kernels.pictures.picture_sets import Choice
 
@@ -28,7 +28,7 @@ def normals(
     choice: Choice,
     lights: NDArray[np.float64] | None,
     view: Image | None,
-    rig: rig_normals.Rig | None = None,
+    rig: rig_normals.Scene | None = None,
     correct: str = "none",
     fuse: str = "none",
     filter: str = "none",

@@ -24,15 +24,16 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from lightstage.dag.stage import StageError
-from lightstage.kernels.pictures.band_fusion import noise_model
+from lightstage.hw.illuminations import AXES, CONSTANT, complement, pairs
+from lightstage.kernels.errors import KernelError
+from lightstage.kernels.pictures.noise import noise_model
 from lightstage.kernels.surface.visibility import in_parts
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Measured:
+class LightVectors:
     """The four numbers that a set of gradients tells of each point, by band."""
 
     vector: NDArray[np.floating]
@@ -46,13 +47,13 @@ class Measured:
         """(band, y, x, xyz): m / r_c, 0 where not valid."""
         return np.asarray(self.vector / np.maximum(self.constant, 1e-12)[..., None])
 
-    def smaller(self, factor: int) -> "Measured":
+    def smaller(self, factor: int) -> "LightVectors":
         """Binned: `factor` x `factor` pixels are one."""
         share = binned((self.weight > 0).astype(float), factor)
         known = np.maximum(share, 1e-9)
         vector = np.stack([binned(self.vector[..., i], factor) / known for i in range(3)], axis=-1)
         weight = binned(self.weight, factor) * factor**2 * (share > 0.5)
-        return Measured(vector, binned(self.constant, factor) / known, weight)
+        return LightVectors(vector, binned(self.constant, factor) / known, weight)
 
 
 def binned(values: NDArray[Any], factor: int) -> Array:
@@ -62,7 +63,7 @@ def binned(values: NDArray[Any], factor: int) -> Array:
     return np.asarray(cut.reshape(*values.shape[:-2], rows, factor, columns, factor).mean(axis=(-3, -1)))
 
 
-def measure(bands: Sequence[Mapping[str, NDArray[np.float32]]]) -> Measured:
+def measure(bands: Sequence[Mapping[str, NDArray[np.float32]]]) -> LightVectors:
     """m and r_c of each band, by weighted least squares over all its pictures.
 
     With r_a = (r_c + m_a) / 2 and r_a' = (r_c - m_a) / 2 seven pictures tell four numbers. Weighting each by its
@@ -73,7 +74,7 @@ def measure(bands: Sequence[Mapping[str, NDArray[np.float32]]]) -> Measured:
     """
     measured = [_measure_band(pictures) for pictures in bands]
     vector, constant, weight = (np.stack(parts) for parts in zip(*measured, strict=True))
-    return Measured(vector, constant, weight)
+    return LightVectors(vector, constant, weight)
 
 
 def _measure_band(pictures: Mapping[str, NDArray[np.float32]]) -> tuple[Array, Array, Array]:
@@ -88,18 +89,17 @@ def _measure_band(pictures: Mapping[str, NDArray[np.float32]]) -> tuple[Array, A
         return np.asarray(1 / (alpha + beta * level))
 
     weights = {name: precision(name) for name in pictures}
-    total = weights.get("C", np.zeros(known.shape))
-    constant = total * np.where(known, pictures["C"], 0) if "C" in pictures else np.zeros(known.shape)
-    for axis in "XYZ":
-        if axis in pictures and axis + "c" in pictures:
-            both = 1 / (1 / weights[axis] + 1 / weights[axis + "c"])
-            total = total + both
-            constant = constant + both * np.where(known, pictures[axis] + pictures[axis + "c"], 0)
+    total = weights.get(CONSTANT, np.zeros(known.shape))
+    constant = total * np.where(known, pictures[CONSTANT], 0) if CONSTANT in pictures else np.zeros(known.shape)
+    for gradient, opposite in pairs(pictures):
+        both = 1 / (1 / weights[gradient] + 1 / weights[opposite])
+        total = total + both
+        constant = constant + both * np.where(known, pictures[gradient] + pictures[opposite], 0)
     constant = constant / np.maximum(total, 1e-30)
     vector = np.zeros((*known.shape, 3))
-    for i, axis in enumerate("XYZ"):
+    for i, axis in enumerate(AXES):
         seen = np.zeros(known.shape)
-        for name, sign in ((axis, 1), (axis + "c", -1)):
+        for name, sign in ((axis, 1), (complement(axis), -1)):
             if name in pictures:
                 vector[..., i] += sign * weights[name] * (2 * np.where(known, pictures[name], 0) - constant)
                 seen += weights[name]
@@ -139,12 +139,12 @@ class Lights:
             near: whether places are needed; otherwise directions will do.
 
         Raises:
-            StageError: a light has no position.
+            KernelError: a light has no position.
         """
         rows = item["lights"]
         without = [row["id"] for row in rows if row["position_mm"] is None]
         if without and near:
-            raise StageError(
+            raise KernelError(
                 f"the lights item gives {without[0]} a direction only; near-light models need position_mm "
                 "(correct: lights works with directions)"
             )
@@ -169,7 +169,7 @@ class Lights:
         )
         drive /= np.linalg.norm(drive, axis=1, keepdims=True)
         if np.linalg.matrix_rank(drive, tol=1e-3) < 3:
-            raise StageError("the lights lie in one plane; gradients need lights all around")
+            raise KernelError("the lights lie in one plane; gradients need lights all around")
         return cls(places, drive, np.array([row["power"] for row in rows], float))
 
 
@@ -299,8 +299,8 @@ def _invert(
         direct[i] = total
 
 
-def fused(measured: Measured) -> Measured:
+def fused(measured: LightVectors) -> LightVectors:
     """All bands as one: the weighted mean of m / r_c, with r_c = 1."""
     total = measured.weight.sum(axis=0)
     ratio = (measured.weight[..., None] * measured.ratio()).sum(axis=0) / np.maximum(total, 1e-30)[..., None]
-    return Measured(ratio[None], (total > 0).astype(float)[None], total[None])
+    return LightVectors(ratio[None], (total > 0).astype(float)[None], total[None])

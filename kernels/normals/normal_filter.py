@@ -14,6 +14,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from lightstage.kernels.pictures.masked_mean import MaskedMean
+from lightstage.kernels.pictures.noise import finest_detail
+
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
 
@@ -41,7 +44,7 @@ def non_local_means(normal: Array, spread: Array, mask: NDArray[np.bool_]) -> Ar
         return normal
     inside = known.astype(np.float32)
     values = np.where(known[..., None], normal, 0).astype(np.float32)
-    base = _blur(values) / np.maximum(_blur(inside), 1e-6)[..., None]
+    base = MaskedMean(known, _BASE_PX, dtype=np.float32)(values)
     base /= np.maximum(np.linalg.norm(base, axis=2, keepdims=True), 1e-6)
     detail = np.where(known[..., None], values - base, 0)
     variance = np.where(known, (noise_factor(normal, spread, known) * spread) ** 2, 1e6).astype(np.float32)
@@ -75,21 +78,16 @@ def non_local_means(normal: Array, spread: Array, mask: NDArray[np.bool_]) -> Ar
 def noise_factor(normal: Array, spread: Array, known: NDArray[np.bool_]) -> float:
     """What `spread` has to be multiplied with to be the standard error of a component.
 
-    The finest detail of smooth surfaces is noise (Immerkaer 1996, doi:10.1006/cviu.1996.0060); its median
-    absolute value does not see edges. The three components share two degrees of freedom.
+    The finest detail of smooth surfaces is noise (`noise.finest_detail`); its median absolute value does not see
+    edges. The three components share two degrees of freedom.
     """
-    kernel = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32) / 6
     inner = cv2.erode(known.astype(np.uint8), np.ones((3, 3))) > 0
     values = np.where(known[..., None], normal, 0).astype(np.float32)
     squares = 0.0
     for i in range(3):
-        fine = np.abs(cv2.filter2D(values[..., i], -1, kernel)[inner] / spread[inner])
+        fine = np.abs(finest_detail(values[..., i])[inner] / spread[inner])
         squares += (float(np.median(fine)) / 0.6745) ** 2 if fine.size else 0.0
     return max(float(np.sqrt(squares / 2)), 1e-6)
-
-
-def _blur(values: Image) -> Image:
-    return np.asarray(cv2.GaussianBlur(values, (0, 0), _BASE_PX), np.float32)
 
 
 def _sum(values: Image) -> Image:

@@ -7,7 +7,6 @@ and writes what comes out in the form of the stage's outputs.
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,6 +15,7 @@ from lightstage.kernels.errors import KernelError
 from lightstage.kernels.normals import near_light, self_consistent
 from lightstage.kernels.normals.normal_filter import non_local_means
 from lightstage.kernels.normals.openness import share_of_light
+from lightstage.kernels.pictures.masked_mean import MaskedMean
 from lightstage.kernels.pictures.subject_mask import find_subject, lit
 from lightstage.kernels.surface.pinhole import Pinhole
 
@@ -25,7 +25,7 @@ _BLURRED_NOISE = 0.3
 """Variance that noise keeps in that blur; 0.13 if pixels were independent, but pictures were resampled."""
 
 
-class Rig(NamedTuple):
+class Scene(NamedTuple):
     """What the corrections know of the rig and the subject."""
 
     camera: Pinhole | None
@@ -37,7 +37,7 @@ class Rig(NamedTuple):
 
 def solve(
     bands: Sequence[Mapping[str, NDArray[np.float32]]],
-    rig: Rig,
+    scene: Scene,
     *,
     model: str,
     as_one: bool,
@@ -48,7 +48,7 @@ def solve(
 
     Args:
         bands: per band, pictures (y, x) by illumination, radiance, NaN where not valid.
-        rig: the rig and the subject.
+        scene: the rig and the subject.
         model: lights, near, near+shadows or full.
         as_one: all bands give one map.
         filtered: none, nlm or surface.
@@ -63,22 +63,22 @@ def solve(
     measured = near_light.measure(bands)
     shape = measured.constant.shape[1:]
     if model == "lights":
-        return _read_out(measured, None, np.zeros((*shape, 3)), rig, as_one=as_one, filtered=filtered)
-    assert rig.camera is not None
+        return _read_out(measured, None, np.zeros((*shape, 3)), scene, as_one=as_one, filtered=filtered)
+    assert scene.camera is not None
     if not (measured.weight > 0).any():
         raise KernelError("no pixel is measured in all pictures of the set: they are black, or saturated")
     constant = measured.constant.mean(axis=0)
-    mask = lit(rig.mask, constant) if rig.mask is not None else find_subject(constant)
-    found = self_consistent.solve(measured, mask, rig.camera, rig.lights, model=model)
-    points = rig.camera.points(found.depth)
-    return _read_out(measured, found, points, rig, as_one=as_one, filtered=filtered, openness=openness)
+    mask = lit(scene.mask, constant) if scene.mask is not None else find_subject(constant)
+    found = self_consistent.solve(measured, mask, scene.camera, scene.lights, model=model)
+    points = scene.camera.points(found.depth)
+    return _read_out(measured, found, points, scene, as_one=as_one, filtered=filtered, openness=openness)
 
 
 def _read_out(
-    measured: near_light.Measured,
+    measured: near_light.LightVectors,
     found: self_consistent.Geometry | None,
     points: NDArray[np.float64],
-    rig: Rig,
+    scene: Scene,
     *,
     as_one: bool,
     filtered: str,
@@ -90,11 +90,11 @@ def _read_out(
     albedo = measured.constant
     irradiance = np.full(mask.shape, np.nan)
     one = near_light.fused(measured)
-    irradiance[mask] = near_light.invert(one.vector[0][mask], at, rig.lights, seen).direct
+    irradiance[mask] = near_light.invert(one.vector[0][mask], at, scene.lights, seen).direct
     if found is not None:
         measured = found.without_bounces(measured, np.where(mask, irradiance, 1.0))
         one = near_light.fused(measured)
-        irradiance[mask] = _irradiance(one, mask, at, rig.lights, seen, openness)
+        irradiance[mask] = _irradiance(one, mask, at, scene.lights, seen, openness)
     norms = np.linalg.norm(measured.vector, axis=3) / (2 * np.maximum(measured.constant, 1e-30))
     wanted = near_light.fused(measured) if as_one else measured
     normals_, valids = [], []
@@ -102,7 +102,7 @@ def _read_out(
         valid = mask & (weight > 0)
         normal = np.full((*mask.shape, 3), np.nan)
         normal[valid] = near_light.invert(
-            vector[valid], points[valid], rig.lights, None if seen is None else seen[valid[mask]]
+            vector[valid], points[valid], scene.lights, None if seen is None else seen[valid[mask]]
         ).normal
         if filtered == "surface":
             normal = np.where(valid[..., None], surface_normals(points, mask), np.nan)
@@ -133,7 +133,7 @@ def _read_out(
 
 
 def _irradiance(
-    one: near_light.Measured,
+    one: near_light.LightVectors,
     mask: NDArray[np.bool_],
     at: NDArray[np.float64],
     lights: near_light.Lights,
@@ -162,16 +162,10 @@ def _without_noise(
     values: NDArray[np.float64], variance: NDArray[np.float64], mask: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
     """Values (y, x) blurred a little, and shrunk by the share of noise in their power around each pixel."""
-
-    def mean(picture: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
-        inside = cv2.GaussianBlur(mask.astype(np.float64), (0, 0), sigma)
-        blurred = cv2.GaussianBlur(np.where(mask, picture, 0), (0, 0), sigma)
-        return np.asarray(blurred / np.maximum(inside, 1e-6))
-
-    smooth = mean(values, _EXCESS_PX)
-    noise = _BLURRED_NOISE * mean(variance, _POWER_PX)
-    power = mean(smooth**2, _POWER_PX)
-    return smooth * np.maximum(1 - noise / np.maximum(power, 1e-12), 0)
+    smooth = MaskedMean(mask, _EXCESS_PX)(values)
+    around = MaskedMean(mask, _POWER_PX)
+    noise, power = _BLURRED_NOISE * around(variance), around(smooth**2)
+    return np.asarray(smooth * np.maximum(1 - noise / np.maximum(power, 1e-12), 0))
 
 
 def surface_normals(points: NDArray[np.float64], mask: NDArray[np.bool_]) -> NDArray[np.float64]:
@@ -200,7 +194,7 @@ def quantised(normal: NDArray[np.floating]) -> NDArray[np.int16]:
     return np.ascontiguousarray(np.where(known, steps, NORMAL_FILL).astype(np.int16).transpose(2, 0, 1))
 
 
-def prepared(context: Mapping[str, Any], shape: tuple[int, int]) -> Rig:
+def prepared(context: Mapping[str, Any], shape: tuple[int, int]) -> Scene:
     """What `normals` reads of the rig, in numbers, for pictures of `shape` (rows, columns).
 
     Raises:
@@ -208,4 +202,4 @@ def prepared(context: Mapping[str, Any], shape: tuple[int, int]) -> Rig:
     """
     mask = None if context["mask"] is None else np.asarray(context["mask"].load()) > 0
     camera = None if context["camera"] is None else Pinhole.of(context["camera"], shape)
-    return Rig(camera, near_light.Lights.of(context["lights"], near=context["near"]), mask)
+    return Scene(camera, near_light.Lights.of(context["lights"], near=context["near"]), mask)

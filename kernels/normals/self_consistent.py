@@ -22,8 +22,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lightstage.dag.stage import StageError
-from lightstage.kernels.normals.near_light import Lights, Measured, Response, binned, fused, invert
+from lightstage.kernels.errors import KernelError
+from lightstage.kernels.normals.near_light import Lights, LightVectors, Response, binned, fused, invert
 from lightstage.kernels.surface.integration import integrate
 from lightstage.kernels.surface.interreflection import Tiles, without_bounces
 from lightstage.kernels.surface.loose_parts import LooseParts
@@ -71,7 +71,7 @@ class Geometry:
     loose: LooseParts | None = None
     """What the light has placed beside the distance."""
 
-    def without_bounces(self, measured: Measured, direct: Array) -> Measured:
+    def without_bounces(self, measured: LightVectors, direct: Array) -> LightVectors:
         """The measurement with bounced light taken out; `direct` (y, x) is S."""
         if self.slope is not None and self.albedo is not None:
             ratio = measured.ratio() - self.albedo[..., None] * self.slope
@@ -83,7 +83,7 @@ class Geometry:
         return measured
 
 
-def solve(measured: Measured, mask: Mask, camera: Pinhole, lights: Lights, *, model: str) -> Geometry:
+def solve(measured: LightVectors, mask: Mask, camera: Pinhole, lights: Lights, *, model: str) -> Geometry:
     """The rounds.
 
     Args:
@@ -94,7 +94,7 @@ def solve(measured: Measured, mask: Mask, camera: Pinhole, lights: Lights, *, mo
         model: near, near+shadows or full.
 
     Raises:
-        StageError: nothing is left in the mask.
+        KernelError: nothing is left in the mask.
     """
     factor = max(1, round(mask.shape[1] / _COARSE_PX))
     if factor == 1:
@@ -104,10 +104,10 @@ def solve(measured: Measured, mask: Mask, camera: Pinhole, lights: Lights, *, mo
     return _at_full_size(coarse, measured, mask, camera, lights, factor)
 
 
-def _rounds(measured: Measured, mask: Mask, camera: Pinhole, lights: Lights, model: str) -> Geometry:
+def _rounds(measured: LightVectors, mask: Mask, camera: Pinhole, lights: Lights, model: str) -> Geometry:
     mask = mask & (measured.weight.sum(axis=0) > 0)
     if mask.sum() < 64:
-        raise StageError("the subject's mask holds no measured pixels; give the capture a mask, or light it more")
+        raise KernelError("the subject's mask holds no measured pixels; give the capture a mask, or light it more")
     found = Geometry(mask, np.full(mask.shape, np.nan), None, None, None, None, 0.0, False)
     direct = np.ones(mask.shape)
     log_depth: Array | None = None
@@ -137,7 +137,7 @@ def _rounds(measured: Measured, mask: Mask, camera: Pinhole, lights: Lights, mod
 
 
 def _with_bounces(
-    found: Geometry, measured: Measured, direct: Array, response: Response, points: Array,
+    found: Geometry, measured: LightVectors, direct: Array, response: Response, points: Array,
     camera: Pinhole, lights: Lights, turn: int,
 ) -> Geometry:  # fmt: skip
     mask = found.mask
@@ -155,7 +155,7 @@ def _with_bounces(
 
 
 def _placed(
-    found: Geometry, log_depth: Array, one: Measured, normal: Array, camera: Pinhole, lights: Lights
+    found: Geometry, log_depth: Array, one: LightVectors, normal: Array, camera: Pinhole, lights: Lights
 ) -> Geometry:
     """The depth map at the distance at which |m| / r_c is what the model predicts.
 
@@ -186,7 +186,7 @@ def _placed(
 
 
 def _distance(
-    here: Mask, shape: Array, one: Measured, camera: Pinhole, lights: Lights, guess: float, centre: float
+    here: Mask, shape: Array, one: LightVectors, camera: Pinhole, lights: Lights, guess: float, centre: float
 ) -> tuple[float, bool]:
     """Where the norm's residual crosses zero for one part of the surface."""
     some = np.zeros(here.shape, np.bool_)
@@ -233,7 +233,7 @@ def _root(residual: Any, guess: float, low: float, high: float) -> tuple[float, 
 
 
 def _at_full_size(
-    coarse: Geometry, measured: Measured, mask: Mask, camera: Pinhole, lights: Lights, factor: int
+    coarse: Geometry, measured: LightVectors, mask: Mask, camera: Pinhole, lights: Lights, factor: int
 ) -> Geometry:
     """One more round at full size, from what the small pictures told of depth, shadows and bounced light."""
     spread = _Spread(coarse.mask, mask.shape, factor)

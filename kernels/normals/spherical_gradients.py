@@ -1,4 +1,5 @@
-"""Normals from spherical gradient illumination: every method is one small table for one fused kernel.
+"""Normals from spherical gradient illumination: every method is one small table (`gradient_methods.py`)
+for one fused kernel.
 
 With r_a for gradient a, r_a' for its complement and r_c for constant light, each method's normal before
 normalisation, times 2 r_c (or r_c), is linear in the pictures, so all of them are one pass over memory:
@@ -26,65 +27,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from lightstage.kernels.encodings import NORMAL_FILL, NORMAL_STEPS
-
-AXES = "XYZ"
-GRADIENTS = ("X", "Xc", "Y", "Yc", "Z", "Zc")
-
-
-class Table(NamedTuple):
-    """A method: which picture goes to which slot of the kernel, and with which factors."""
-
-    pictures: tuple[str, ...]
-    """What the method reads, each once."""
-    slots: tuple[int, ...]
-    """Index into `pictures` for x, x', y, y', z, z', c, b, b'. A slot that is not used names any picture."""
-    direction: NDArray[np.float32]
-    """(xyz, 4): factors of r_a, r_a', r_c and r_b + r_b' in g."""
-    constant: NDArray[np.float32]
-    """(3,): factors of r_c, r_b + r_b' and the sum of all six gradients in the constant picture."""
-    qp: bool
-    """Whether the direction is corrected afterwards."""
-
-
-def table(method: str, base: str, have: Sequence[str], *, qp: bool = False) -> Table:
-    """The table of a method.
-
-    Args:
-        method: ratio, difference or minimal.
-        base: the axis whose pair a minimal set is built on; ignored by the others.
-        have: the illuminations at hand, at least those that the method needs. Only those that it uses are
-            named in the result; C is used for r_c where it is there.
-        qp: correct the direction, which needs all six gradients and C.
-    """
-    direction = np.zeros((3, 4), np.float32)
-    used: list[str] = ["C"] if "C" in have else []
-    slots: dict[str, str] = {}
-    for row, axis in enumerate(AXES):
-        complement = axis + "c"
-        if method == "difference" or (method == "minimal" and axis == base):
-            direction[row] = (1, -1, 0, 0)
-            names = (axis, complement)
-        elif method == "ratio":
-            direction[row] = (2, 0, -1, 0)
-            names = (axis, axis)
-        else:
-            direct = axis in have
-            direction[row] = (2, 0, 0, -1) if direct else (0, -2, 0, 1)
-            names = (axis, axis) if direct else (complement, complement)
-        slots[axis], slots[complement] = names
-        used += [name for name in names if name not in used]
-    constant: tuple[float, float, float]
-    if "C" in have:
-        constant = (1, 0, 0)
-    else:
-        constant = (0, 0, 1 / 3) if method == "difference" else (0, 1, 0)
-    pair = (base, base + "c") if method == "minimal" else (used[0], used[0])
-    if qp:
-        slots = {name: name for name in GRADIENTS}
-        used += [name for name in GRADIENTS if name not in used]
-    order = [slots[name] for name in GRADIENTS] + ["C" if "C" in have else used[0], *pair]
-    indices = tuple(used.index(name) for name in order)
-    return Table(tuple(used), indices, direction, np.array(constant, np.float32), qp)
+from lightstage.kernels.normals.gradient_methods import Table
 
 
 class Normals(NamedTuple):
@@ -122,7 +65,7 @@ def solve(
 
     Args:
         pictures: (y, x), one dtype, any linear unit, in the order of `method.pictures`; NaN where not valid.
-        method: from `table`.
+        method: from `gradient_methods.table`.
         view: (xyz, y, x), unit vectors from the point to the camera, when the pictures are specular.
         out: arrays to write into.
     """
@@ -132,8 +75,9 @@ def solve(
     slots = [flat[i] for i in method.slots]
     nx, ny, nz = out.normal.reshape(3, -1)
     towards = None if view is None else np.ascontiguousarray(view, np.float32).reshape(3, -1)
+    direction, constant = np.array(method.direction, np.float32), np.array(method.constant, np.float32)
     rest = (out.constant.reshape(-1), out.norm.reshape(-1), out.valid.reshape(-1))
-    _solve(*slots, method.direction, method.constant, method.qp or None, towards, nx, ny, nz, *rest)
+    _solve(*slots, direction, constant, method.qp or None, towards, nx, ny, nz, *rest)
     return out
 
 

@@ -11,13 +11,14 @@ from numba import njit
 from numpy.typing import NDArray
 
 from lightstage.kernels.encodings import SIGNAL_STEP
+from lightstage.kernels.pictures.keys_cubic import weights
 
 Image = NDArray[np.float32]
 _FAST = {"nsz"}
 """No "contract", a product and a sum in one step, and no "arcp", one over a divisor times: whether they pay, and so
 the last bit, differs between processors. They gain nothing that can be measured here."""
 _FINE, _STEP, _NAN = np.float32(1 / SIGNAL_STEP), np.float32(SIGNAL_STEP), np.float32(np.nan)
-_HALF, _ONE, _1_5, _TWO, _2_5 = np.float32(0.5), np.float32(1), np.float32(1.5), np.float32(2), np.float32(2.5)
+_HALF = np.float32(0.5)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -91,14 +92,11 @@ def warp(image: Image, to_source: NDArray[np.float64], height: int, width: int) 
 def _sweep(above: Image, here: Image, below: Image, last: Image, t: Image, u: Image, out: Image) -> None:
     """Interpolate a run of pixels whose neighbours follow each other; the rows begin one pixel before the first.
 
-    Keys' weights of the four neighbours at fraction t (across) and u (down) behind the second.
+    t (across) and u (down) are fractions behind the second of four neighbours.
     """
     for i in range(out.size):
-        s, v = t[i], u[i]
-        wx0, wx1 = ((_ONE - _HALF * s) * s - _HALF) * s, (_1_5 * s - _2_5) * s * s + _ONE
-        wx2, wx3 = ((_TWO - _1_5 * s) * s + _HALF) * s, (_HALF * s - _HALF) * s * s
-        wy0, wy1 = ((_ONE - _HALF * v) * v - _HALF) * v, (_1_5 * v - _2_5) * v * v + _ONE
-        wy2, wy3 = ((_TWO - _1_5 * v) * v + _HALF) * v, (_HALF * v - _HALF) * v * v
+        wx0, wx1, wx2, wx3 = weights(t[i])
+        wy0, wy1, wy2, wy3 = weights(u[i])
         value = (
             wy0 * (wx0 * above[i] + wx1 * above[i + 1] + wx2 * above[i + 2] + wx3 * above[i + 3])
             + wy1 * (wx0 * here[i] + wx1 * here[i + 1] + wx2 * here[i + 2] + wx3 * here[i + 3])

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from skimage.filters import threshold_otsu
 
-from lightstage.dag.stage import StageError
+from lightstage.kernels.errors import KernelError
 
 _LEAST_PART = 0.002
 _DIM = 0.02
@@ -25,7 +25,7 @@ def find_subject(constant: NDArray[np.floating]) -> NDArray[np.bool_]:
         constant: (y, x) radiance under constant light; NaN where not valid.
 
     Raises:
-        StageError: nothing stands out.
+        KernelError: nothing stands out.
     """
     known = np.isfinite(constant)
     # in float64, as below: a threshold follows, and the last bits of a blur are not the same everywhere
@@ -33,7 +33,7 @@ def find_subject(constant: NDArray[np.floating]) -> NDArray[np.bool_]:
     smooth = cv2.GaussianBlur(values, (0, 0), 0.8)
     bright = float(np.percentile(smooth, 99))
     if not bright > 0:
-        raise StageError("no subject stands out from the background: the constant picture is black")
+        raise KernelError("no subject stands out from the background: the constant picture is black")
     dark = smooth[smooth < 0.05 * bright]
     ground, noise = 0.0, 0.0
     if dark.size <= 0.02 * smooth.size:
@@ -48,10 +48,10 @@ def find_subject(constant: NDArray[np.floating]) -> NDArray[np.bool_]:
     above = smooth > ground + max(6 * noise, _DIM * (bright - ground))
     count, labels, stats, _ = cv2.connectedComponentsWithStats(above.astype(np.uint8), connectivity=4)
     if count < 2:
-        raise StageError("no subject stands out from the background; give the capture a mask")
+        raise KernelError("no subject stands out from the background; give the capture a mask")
     largest = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
     if stats[largest, cv2.CC_STAT_AREA] < _LEAST_PART * values.size:
-        raise StageError("no subject stands out from the background; give the capture a mask")
+        raise KernelError("no subject stands out from the background; give the capture a mask")
     subject = labels == largest
     outlines, _ = cv2.findContours(subject.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     filled = np.zeros(subject.shape, np.uint8)

@@ -25,6 +25,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from lightstage.kernels.pictures.masked_mean import MaskedMean, reflected
 from lightstage.kernels.surface.pinhole import Pinhole
 from lightstage.kernels.surface.visibility import in_parts
 
@@ -39,6 +40,8 @@ _LEVER = 0.1
 _TILES = 1400
 """Aim for the number of tiles: their form factors are its square."""
 _BOUNCES = 6
+_LEAST_SHARE = 1e-9
+"""Of a window that is in the mask."""
 _LARGEST_ALBEDO = 0.95
 
 
@@ -58,36 +61,31 @@ def without_bounces(
         slope (y, x, xyz), and the albedo of each band around each point (band, y, x): q - albedo * slope is
         free of bounced light.
     """
-    inside = mask.astype(np.float32)
-    albedo = np.stack([_mean(c / np.maximum(direct, 1e-3), inside, _ALBEDO_PX) for c in constant])
+    around = MaskedMean(mask, _ALBEDO_PX, least=_LEAST_SHARE)
+    albedo = np.stack([around(np.nan_to_num(c / np.maximum(direct, 1e-3))) for c in constant])
     total = weight.sum(axis=0) + 1e-30
     centred = albedo - (weight * albedo).sum(axis=0) / total
     middle = (weight[..., None] * ratio).sum(axis=0) / total[..., None]
     up = ((weight * centred)[..., None] * (ratio - middle)).sum(axis=0)
     down = (weight * centred**2).sum(axis=0)
     usual = np.maximum((weight * albedo).sum(axis=0) / total, 1e-9)
-    lever = np.sqrt(_mean(down / total, inside, _WIDE_PX)) / usual
+    lever = np.sqrt(MaskedMean(mask, _WIDE_PX, least=_LEAST_SHARE)(np.nan_to_num(down / total))) / usual
     # from a short lever the line's end at zero is a guess: the noise of r_c, which is in q and in a, draws the line
     trust = np.clip((lever / _LEVER) ** 2, 1e-6, 1) / usual
-    wide = _shrunk(up, down, inside, _WIDE_PX, _WIDE_PRIOR * trust)
-    return wide + _shrunk(up - down[..., None] * wide, down, inside, _SLOPE_PX, _LOCAL_PRIOR * trust), albedo
+    wide = _shrunk(up, down, mask, _WIDE_PX, _WIDE_PRIOR * trust)
+    return wide + _shrunk(up - down[..., None] * wide, down, mask, _SLOPE_PX, _LOCAL_PRIOR * trust), albedo
 
 
-def _shrunk(up: Array, down: Array, inside: NDArray[np.float32], sigma: float, prior: Array) -> Array:
+def _shrunk(up: Array, down: Array, mask: NDArray[np.bool_], sigma: float, prior: Array) -> Array:
     """Slope over a neighbourhood, with a Gaussian prior: one over `down` summed there is its variance."""
     pixels = 4 * np.pi * sigma**2  # that a Gaussian window averages
     ridge = 1 / (pixels * prior**2)
-    top = np.stack([_blur(up[..., i], inside, sigma) for i in range(3)], axis=-1)
-    return np.asarray(top / (_blur(down, inside, sigma) + ridge)[..., None])
+    top = np.stack([_blur(up[..., i], mask, sigma) for i in range(3)], axis=-1)
+    return np.asarray(top / (_blur(down, mask, sigma) + ridge)[..., None])
 
 
-def _blur(values: Array, inside: NDArray[np.float32], sigma: float) -> Array:
-    known = np.where(inside > 0, np.nan_to_num(values), 0).astype(np.float64)
-    return np.asarray(cv2.GaussianBlur(known, (0, 0), sigma))
-
-
-def _mean(values: Array, inside: NDArray[np.float32], sigma: float) -> Array:
-    return _blur(values, inside, sigma) / np.maximum(_blur(inside.astype(np.float64), inside, sigma), 1e-9)
+def _blur(values: Array, mask: NDArray[np.bool_], sigma: float) -> Array:
+    return np.asarray(reflected(np.where(mask, np.nan_to_num(values), 0).astype(np.float64), sigma))
 
 
 class Tiles:

@@ -22,7 +22,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lightstage.kernels.normals.near_light import Lights, Measured, invert
+from lightstage.kernels.normals.near_light import Lights, LightVectors, invert
 from lightstage.kernels.surface.integration import softest
 from lightstage.kernels.surface.pinhole import Pinhole
 from lightstage.kernels.surface.visibility import visible
@@ -77,7 +77,7 @@ class LooseParts:
         return np.asarray(np.tensordot(self.amplitude, self.shapes, 1))
 
     def moved(
-        self, log_depth: Array, distance_mm: float, one: Measured, camera: Pinhole, lights: Lights
+        self, log_depth: Array, distance_mm: float, one: LightVectors, camera: Pinhole, lights: Lights
     ) -> "LooseParts":
         """Swung so that the norm is what the model predicts.
 

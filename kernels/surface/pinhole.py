@@ -1,4 +1,4 @@
-"""The reference camera as near-light models and shape need it: rays, points, and its pictures made smaller.
+"""A camera in numbers: its rays, points in the world, its frame, and its pictures made smaller.
 
 World: right-handed, x right, y up, z towards the camera, mm. Camera: x right, y down, z forward (OpenCV).
 """
@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lightstage.dag.stage import StageError
+from lightstage.kernels.errors import KernelError
 
 Array = NDArray[np.float64]
 
@@ -31,17 +31,21 @@ class Pinhole:
     """(3, 3), world to camera."""
     translation: Array
     """(3,), mm."""
+    skew: float = 0.0
+    """Pixels: the image's x is fx x + skew y + cx."""
 
     @classmethod
     def of(cls, item: Mapping[str, Any], shape: tuple[int, int]) -> "Pinhole":
         """From a camera item, for pictures of `shape`.
 
         Raises:
-            StageError: the item is for pictures of another size.
+            KernelError: the item is for pictures of another size.
         """
         width, height = item["size_px"]
         if (height, width) != tuple(shape):
-            raise StageError(f"the camera item is for {width} x {height}; the pictures are {shape[1]} x {shape[0]}")
+            raise KernelError(
+                f"the camera item is for {width} x {height}; the pictures are {shape[1]} x {shape[0]}"
+            )
         matrix = np.asarray(item["K"], float)
         k1, k2, p1, p2, k3 = (float(v) for v in item["distortion"])
         pose = item["world_to_camera"]
@@ -51,7 +55,19 @@ class Pinhole:
             (k1, k2, p1, p2, k3),
             np.asarray(pose["R"], float),
             np.asarray(pose["t_mm"], float),
+            float(matrix[0, 1]),
         )
+
+    @property
+    def matrix(self) -> Array:
+        """K, (3, 3): of a point of the camera's frame, without distortion, K X is its image (x, y, 1) z."""
+        fx, fy, cx, cy = self.intrinsics
+        return np.array([[fx, self.skew, cx], [0, fy, cy], [0, 0, 1]])
+
+    @property
+    def lens(self) -> Array | None:
+        """The distortion as OpenCV takes it; None where there is none."""
+        return np.array(self.distortion) if any(self.distortion) else None
 
     @property
     def focal(self) -> float:
@@ -68,10 +84,12 @@ class Pinhole:
         """(y, x, xyz) rays in the camera's frame, z = 1."""
         fx, fy, cx, cy = self.intrinsics
         y, x = np.mgrid[0 : self.shape[0], 0 : self.shape[1]].astype(np.float64)
+        if self.skew:
+            x -= self.skew * (y - cy) / fy
         if any(self.distortion):
-            matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+            straight = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])  # OpenCV knows no skew
             points = np.stack([x, y], axis=-1).reshape(-1, 1, 2)
-            plane = cv2.undistortPoints(points, matrix, np.array(self.distortion)).reshape(*self.shape, 2)
+            plane = cv2.undistortPoints(points, straight, np.array(self.distortion)).reshape(*self.shape, 2)
         else:
             plane = np.stack([(x - cx) / fx, (y - cy) / fy], axis=-1)
         return np.concatenate([plane, np.ones((*self.shape, 1))], axis=2)
@@ -94,4 +112,5 @@ class Pinhole:
             self.distortion,
             self.rotation,
             self.translation,
+            self.skew / factor,
         )

@@ -16,7 +16,7 @@ from the picture itself:
 import itertools
 import os
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -58,13 +58,13 @@ def visible(
     out = np.empty((len(points), len(lights)), np.float32)
     seen_from = camera.to_camera(points)
     lamps = camera.to_camera(lights)
-    intrinsics = np.array([*camera.intrinsics, *camera.distortion])
-    intrinsics[2] += left
+    fx, fy, cx, cy = camera.intrinsics
+    lens = _Lens(fx, fy, cx + left, cy, camera.distortion, any(camera.distortion))
+    body = _Body(front.astype(np.float32), back.astype(np.float32), slack_mm)
     step = _FIRST_STEP_PX * pixel_mm
-    maps = (front.astype(np.float32), back.astype(np.float32))
 
     def work(part: slice) -> None:
-        _march(*maps, seen_from[part], lamps, intrinsics, step, _GROWTH, _REACH_MM, slack_mm, out[part])
+        _march(body, lens, seen_from[part], lamps, step, out[part])
 
     in_parts(work, len(points))
     return out
@@ -117,14 +117,33 @@ def _backs(front: Array) -> Array:
     return out
 
 
+class _Body(NamedTuple):
+    """What blocks light."""
+
+    front: NDArray[np.float32]
+    """(y, x) camera z, mm; NaN where there is nothing."""
+    back: NDArray[np.float32]
+    slack_mm: float
+
+
+class _Lens(NamedTuple):
+    """Where a point of the camera's frame shows in the maps of a body; a skew of the image is neglected."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, float, float, float, float]
+    bent: bool
+    """Whether there is any."""
+
+
 @njit(nogil=True, cache=True)
-def _march(
-    front: Any, back: Any, points: Any, lights: Any, lens: Any,
-    step: float, growth: float, reach: float, slack: float, out: Any,
-) -> None:  # fmt: skip
+def _march(body: Any, lens: Any, points: Any, lights: Any, step: float, out: Any) -> None:
+    front, back, slack = body.front, body.back, body.slack_mm
     height, width = front.shape
-    fx, fy, cx, cy, k1, k2, p1, p2, k3 = lens
-    bent = k1 != 0 or k2 != 0 or p1 != 0 or p2 != 0 or k3 != 0
+    fx, fy, cx, cy, bent = lens.fx, lens.fy, lens.cx, lens.cy, lens.bent
+    k1, k2, p1, p2, k3 = lens.distortion
     for i in range(points.shape[0]):
         px, py, pz = points[i]
         for k in range(lights.shape[0]):
@@ -133,7 +152,7 @@ def _march(
             dx, dy, dz = dx / length, dy / length, dz / length
             seen = 1.0
             way = 1.5 * step
-            end = min(reach, length)
+            end = min(_REACH_MM, length)
             while way < end:
                 z = pz + way * dz
                 if z <= 0:
@@ -160,5 +179,5 @@ def _march(
                     if seen <= 0:
                         seen = 0.0
                         break
-                way += step + way * growth
+                way += step + way * _GROWTH
             out[i, k] = seen

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lightstage.dag.stage import StageError
+from lightstage.kernels.errors import KernelError
 
 Floats = NDArray[np.float64]
 
@@ -53,10 +53,10 @@ def outline_of_points(
     Starts from the best of 300 random triples (Fischler, Bolles 1981), then reweights (Tukey).
 
     Raises:
-        StageError: too few points, or no ellipse through them, or it leaves the frame (y, x).
+        KernelError: too few points, or no ellipse through them, or it leaves the frame (y, x).
     """
     if len(points_px) < 6:
-        raise StageError(f"{len(points_px)} points do not make an outline; pick six or more around the ball")
+        raise KernelError(f"{len(points_px)} points do not make an outline; pick six or more around the ball")
     weights = np.ones(len(points_px)) if weights is None else weights
     plain = _undistorted(points_px, intrinsics, distortion)
     error = _start(plain, weights)
@@ -65,7 +65,7 @@ def outline_of_points(
         scale = max(1.4826 * float(np.median(error[error < np.inf])), 0.05)
         robust = weights * np.clip(1 - (error / (4.7 * scale)) ** 2, 0, None) ** 2
         if np.count_nonzero(robust) < 6:
-            raise StageError("no ellipse fits the points of the outline; pick others, or more")
+            raise KernelError("no ellipse fits the points of the outline; pick others, or more")
         conic = _ellipse(plain, robust) if intrinsics is None else _cone(plain, robust, intrinsics)
         error = np.abs(_distance(conic, plain))
     used = error < 3 * scale
@@ -77,7 +77,7 @@ def outline_of_points(
     if frame is not None:
         low, high = ring.min(0), ring.max(0)
         if (low < 0).any() or high[0] > frame[1] - 1 or high[1] > frame[0] - 1:
-            raise StageError("the ball is cut by the frame; the whole ball must be in the picture")
+            raise KernelError("the ball is cut by the frame; the whole ball must be in the picture")
     spread = plain[used] - centre
     # twelve degrees hold a point at least, however coarse the points are
     sectors = np.unique(np.floor(np.degrees(np.arctan2(spread[:, 1], spread[:, 0])) / 12))
@@ -144,7 +144,7 @@ def _ellipse(points: Floats, weights: Floats) -> Floats:
     vectors = np.real(vectors)
     kind = 4 * vectors[0] * vectors[2] - vectors[1] ** 2
     if not (kind > 0).any():
-        raise StageError("no ellipse fits the points of the outline; pick others, or more")
+        raise KernelError("no ellipse fits the points of the outline; pick others, or more")
     top = vectors[:, int(kind.argmax())]
     a, b, c, d, e, f = np.concatenate([top, back @ top])
     conic = np.array([[a, b / 2, d / 2], [b / 2, c, e / 2], [d / 2, e / 2, f]])
@@ -175,7 +175,7 @@ def _geometry(conic: Floats) -> tuple[Floats, Floats, float]:
     """Centre (xy), semi-axes (2) and angle of the first (radians) of an ellipse."""
     shape, linear = conic[:2, :2], conic[:2, 2]
     if np.linalg.det(shape) <= 0:
-        raise StageError("no ellipse fits the points of the outline; pick others, or more")
+        raise KernelError("no ellipse fits the points of the outline; pick others, or more")
     centre = -np.linalg.solve(shape, linear)
     values, vectors = np.linalg.eigh(shape)
     axes: Floats = np.sqrt(-(linear @ centre + conic[2, 2]) / values)

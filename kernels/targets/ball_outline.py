@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, median_filter
 from skimage.measure import find_contours
 
-from lightstage.dag.stage import StageError
+from lightstage.kernels.errors import KernelError
 from lightstage.kernels.targets.ball_conic import Floats, Outline, outline_of_points
 
 _SECTOR_PX = 20.0
@@ -42,7 +42,7 @@ def find_outline(
         distortion: k1 k2 p1 p2 k3.
 
     Raises:
-        StageError: no ball, two balls, or a ball cut by the frame.
+        KernelError: no ball, two balls, or a ball cut by the frame.
     """
     given: Outline | None = None
     image = _flattened(picture)
@@ -54,7 +54,7 @@ def find_outline(
         x, y, r = _coarse(image)
         height, width = image.shape
         if x - r < 1 or y - r < 1 or x + r > width - 2 or y + r > height - 2:
-            raise StageError(
+            raise KernelError(
                 f"the ball at ({x:.0f}, {y:.0f}) px, radius {r:.0f} px, is cut by the frame of {width} x {height};"
                 " the whole ball must be in the picture"
             )
@@ -66,7 +66,7 @@ def find_outline(
         if len(points) < 12:
             if given is not None:
                 return given
-            raise StageError(f"no ball found: only {len(points)} points of its outline stand out; {_BY_HAND}")
+            raise KernelError(f"no ball found: only {len(points)} points of its outline stand out; {_BY_HAND}")
         outline = outline_of_points(
             points, intrinsics=intrinsics, distortion=distortion, weights=weights, frame=image.shape
         )
@@ -79,7 +79,7 @@ def find_outline(
         )
         return outline if outline.seen > 0.5 and moved < 0.05 * r else given
     if outline.seen < _LEAST_SEEN:
-        raise StageError(
+        raise KernelError(
             f"no ball found: {outline.seen:.0%} of its outline is seen, a quarter is needed; {_BY_HAND}"
         )
     return outline
@@ -106,7 +106,7 @@ def _coarse(image: NDArray[np.float32]) -> tuple[float, float, float]:
     strength = np.hypot(gx, gy)
     real = strength[strength > 0]
     if real.size == 0:
-        raise StageError(f"no ball found: the picture is empty; {_BY_HAND}")
+        raise KernelError(f"no ball found: the picture is empty; {_BY_HAND}")
     edge = strength > 4 * np.median(real)
     edge &= _ridge(strength, gx, gy)
     ys, xs = np.nonzero(edge)
@@ -116,12 +116,12 @@ def _coarse(image: NDArray[np.float32]) -> tuple[float, float, float]:
     ux, uy = gx[ys, xs] / strength[ys, xs], gy[ys, xs] / strength[ys, xs]
     first = _best_circle(xs, ys, ux, uy, small.shape)
     if first is None:
-        raise StageError(f"no ball found: no circle stands out in the picture; {_BY_HAND}")
+        raise KernelError(f"no ball found: no circle stands out in the picture; {_BY_HAND}")
     x, y, r, cover = first
     outside = np.hypot(xs - x, ys - y) > 1.1 * r + 2
     second = _best_circle(xs[outside], ys[outside], ux[outside], uy[outside], small.shape)
     if second is not None and second[3] > max(0.55, 0.6 * cover) and np.hypot(second[0] - x, second[1] - y) > r:
-        raise StageError(
+        raise KernelError(
             f"two balls: one at ({x * shrink:.0f}, {y * shrink:.0f}), one at ({second[0] * shrink:.0f},"
             f" {second[1] * shrink:.0f}) px; cover one of them with a mask"
         )
@@ -222,9 +222,9 @@ def _mask_points(mask: NDArray[Any]) -> Floats:
     edges = [e[:, ::-1] for e in find_contours(np.pad(level, 2), 0.5)]
     areas = np.array([abs(float(np.sum(e[:-1, 0] * e[1:, 1] - e[:-1, 1] * e[1:, 0]))) / 2 for e in edges])
     if not edges:
-        raise StageError("no ball found: the mask is empty; mark the ball in it")
+        raise KernelError("no ball found: the mask is empty; mark the ball in it")
     if np.count_nonzero(areas > 0.2 * areas.max()) > 1:
-        raise StageError("two balls: the mask has several regions; leave one in it")
+        raise KernelError("two balls: the mask has several regions; leave one in it")
     return np.asarray(edges[int(areas.argmax())] - 2.0)
 
 

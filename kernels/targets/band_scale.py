@@ -15,9 +15,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lightstage.dag.stage import StageError
+from lightstage.kernels.errors import KernelError
+from lightstage.kernels.pictures.masked_mean import MaskedMean
 
 Array = NDArray[np.float64]
+_UNEVEN_PARTS = 80
+"""Unevenness is told of means with a sigma of the picture's width over this: wide beside noise, narrow beside a
+target."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +45,7 @@ def response_of(flat: Array, dark: Array, *, reference: float | None = None) -> 
     light = flat - dark
     top = reference if reference is not None else float(cv2.GaussianBlur(light, (0, 0), light.shape[1] / 40).max())
     if top <= 0:
-        raise StageError("the flat is not brighter than the dark; take it with the lights on")
+        raise KernelError("the flat is not brighter than the dark; take it with the lights on")
     return np.asarray(light / top)
 
 
@@ -49,7 +53,7 @@ def find_target(picture: Array) -> NDArray[np.bool_]:
     """The white target in a corrected picture (y, x): the largest patch near the brightest level, without its edge.
 
     Raises:
-        StageError: nothing stands out.
+        KernelError: nothing stands out.
     """
     smooth = cv2.GaussianBlur(picture, (0, 0), max(1.0, picture.shape[1] / 200))
     level = float(np.percentile(smooth, 99))
@@ -58,7 +62,7 @@ def find_target(picture: Array) -> NDArray[np.bool_]:
     if count < 2 or level < 3 * max(float(np.median(np.abs(picture))), 1e-9):
         largest = 0 if count < 2 else int(stats[1:, cv2.CC_STAT_AREA].max())
         if largest < 0.05 * picture.size:
-            raise StageError("no white target stands out in the pictures; name its region")
+            raise KernelError("no white target stands out in the pictures; name its region")
     best = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
     margin = max(3, round(0.06 * float(np.sqrt(stats[best, cv2.CC_STAT_AREA]))))
     kernel = np.ones((2 * margin + 1, 2 * margin + 1), np.uint8)
@@ -85,29 +89,27 @@ def band_scale(
         saturated_most: share of the target's pixels that may be saturated (hot ones are).
 
     Raises:
-        StageError: the target is small or saturated, a reflectance is impossible, or a band is dark.
+        KernelError: the target is small or saturated, a reflectance is impossible, or a band is dark.
     """
     if len(reflectance) != len(pictures) or not np.all((reflectance > 0) & (reflectance <= 1)):
-        raise StageError(
+        raise KernelError(
             f"{len(pictures)} bands need as many reflectances above 0 and up to 1, not {list(reflectance)}"
         )
     pixels = int(np.count_nonzero(target))
     if pixels < 100:
-        raise StageError(f"the target covers {pixels} pixels; 100 are the least")
+        raise KernelError(f"the target covers {pixels} pixels; 100 are the least")
     scale, error, uneven = (np.zeros(len(pictures)) for _ in range(3))
     for b, picture in enumerate(pictures):
         full = np.count_nonzero(picture[target] >= white) / pixels
         if full > saturated_most:
-            raise StageError(f"band {b}: {100 * full:.1f} % of the target is saturated; expose it less")
+            raise KernelError(f"band {b}: {100 * full:.1f} % of the target is saturated; expose it less")
         values = ((picture - dark) / response)[target]
         mean, se = biweight(values)
         if mean < 20:
-            raise StageError(f"band {b}: the target has {mean:.1f} counts; expose it more, or check the filter")
+            raise KernelError(f"band {b}: the target has {mean:.1f} counts; expose it more, or check the filter")
         scale[b], error[b] = mean / reflectance[b], se / reflectance[b]
-        filled = np.where(target, (picture - dark) / response, 0)
-        wide = picture.shape[1] / 80
-        weight = cv2.GaussianBlur(target.astype(float), (0, 0), wide)
-        uneven[b] = np.std((cv2.GaussianBlur(filled, (0, 0), wide) / np.maximum(weight, 1e-9))[target]) / mean
+        local = MaskedMean(target, picture.shape[1] / _UNEVEN_PARTS, least=1e-9)((picture - dark) / response)
+        uneven[b] = np.std(local[target]) / mean
     return BandScale(scale, error, uneven, pixels)
 
 
@@ -131,7 +133,7 @@ def find_checker(reflectance: Array, *, red: int, green: int, blue: int) -> Arra
         red, green, blue: bands to show as these.
 
     Raises:
-        StageError: no chart is found.
+        KernelError: no chart is found.
     """
     shown = np.stack([reflectance[blue], reflectance[green], reflectance[red]], axis=-1)
     picture = np.round(255 * np.clip(shown, 0, 1) ** (1 / 2.2)).astype(np.uint8)
@@ -143,7 +145,7 @@ def find_checker(reflectance: Array, *, red: int, green: int, blue: int) -> Arra
             corners = np.array(detector.getBestColorChecker().getColorCharts(), dtype=float).reshape(-1, 4, 2)
             if len(corners) == 24:
                 return np.asarray((corners + 0.5) / grow - 0.5)
-    raise StageError("no ColorChecker is found in the pictures; show it whole, upright and in focus")
+    raise KernelError("no ColorChecker is found in the pictures; show it whole, upright and in focus")
 
 
 def checker_reflectance(reflectance: Array, patches: Array, *, inner: float = 0.5) -> Array:

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lightstage.dag.stage import StageError
+from lightstage.kernels.errors import KernelError
 from lightstage.kernels.targets.corner_fit import refine_corners
 
 Array = NDArray[np.float64]
@@ -72,16 +72,16 @@ def find_corners(
         camera: what to call the picture in an error.
 
     Raises:
-        StageError: no board is found, it leaves the frame, or it has another number of corners.
+        KernelError: no board is found, it leaves the frame, or it has another number of corners.
     """
     columns, rows = inner_corners
     if min(inner_corners) < 3:
-        raise StageError(f"a board of {columns} x {rows} inner corners is too small; 3 x 3 are the least")
+        raise KernelError(f"a board of {columns} x {rows} inner corners is too small; 3 x 3 are the least")
     start = _detect(image, inner_corners)
     if start is not None:
         start = _without_false_line(np.asarray(image, float), start, inner_corners)
     if start is None or sorted(start.shape[:2]) != sorted(inner_corners):
-        raise StageError(_why_not(image, start, inner_corners, camera))
+        raise KernelError(_why_not(image, start, inner_corners, camera))
     if start.shape[:2] != (rows, columns):
         start = np.swapaxes(start, 0, 1)
     lattice = upright(start)
@@ -90,13 +90,13 @@ def find_corners(
     moved = np.linalg.norm(points - lattice, axis=-1)
     if not np.isfinite(points).all() or moved.max() > max(1.0, 0.2 * step):
         y, x = np.unravel_index(int(np.nan_to_num(moved, nan=np.inf).argmax()), moved.shape)
-        raise StageError(
+        raise KernelError(
             f"{camera}: corner {x},{y} of the board is not a clean crossing near x={lattice[y, x, 0]:.0f}, "
             f"y={lattice[y, x, 1]:.0f}; keep reflections and fingers off the board and the picture in focus"
         )
     bright = float(np.percentile(_squares(np.asarray(image, float), points), 75))
     if white_level is not None and bright >= white_level:
-        raise StageError(
+        raise KernelError(
             f"{camera}: the board's white squares saturate (at {white_level}), which moves its edges by up to a "
             "quarter of a pixel; expose less"
         )

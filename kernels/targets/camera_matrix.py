@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import rq
 
-from lightstage.dag.stage import StageError
+from lightstage.kernels.errors import KernelError
 
 Array = NDArray[np.float64]
 
@@ -68,16 +68,16 @@ def fit_camera(corners: Sequence[Array], *, square_mm: float, shape: tuple[int, 
         shape: (rows, columns) of the pictures.
 
     Raises:
-        StageError: no board, boards of different kinds, or boards seen too nearly frontally.
+        KernelError: no board, boards of different kinds, or boards seen too nearly frontally.
     """
     if not corners:
-        raise StageError("a camera matrix needs at least one picture of a checkerboard; none is given")
+        raise KernelError("a camera matrix needs at least one picture of a checkerboard; none is given")
     lattices = {points.shape for points in corners}
     if len(lattices) > 1:
-        raise StageError(f"the pictures show boards of different sizes ({sorted(lattices)}); use one board")
+        raise KernelError(f"the pictures show boards of different sizes ({sorted(lattices)}); use one board")
     matrix, distortion, deviation, turns, shifts, residual = _calibrate(corners, square_mm, shape)
     if deviation["fx"] > 0.1 * matrix[0, 0]:
-        raise StageError(
+        raise KernelError(
             f"the focal length is {matrix[0, 0]:.0f} +- {deviation['fx']:.0f} px, that is, unknown: the board is "
             "seen too nearly frontally; tilt it by 20 to 40 degrees, about both axes, in three or more pictures"
         )

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lightstage.dag.stage import StageError
+from lightstage.kernels.errors import KernelError
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -44,7 +44,7 @@ def moments(frames: Iterable[NDArray[Any]], *, white_level: int) -> Moments:
     """Mean and variance over frames (y, x) of the same scene.
 
     Raises:
-        StageError: no frames, or frames of different sizes.
+        KernelError: no frames, or frames of different sizes.
     """
     mean = squares = None
     count = 0
@@ -57,14 +57,14 @@ def moments(frames: Iterable[NDArray[Any]], *, white_level: int) -> Moments:
                 np.zeros(values.shape, np.bool_),
             )
         if values.shape != mean.shape:
-            raise StageError(f"the frames differ in size ({values.shape} after {mean.shape}); capture them again")
+            raise KernelError(f"the frames differ in size ({values.shape} after {mean.shape}); capture them again")
         count += 1
         step = values - mean
         mean += step / count
         squares += step * (values - mean)
         saturated |= np.asarray(frame) >= white_level
     if mean is None or squares is None:
-        raise StageError("a dark or flat needs at least one frame; none is given")
+        raise KernelError("a dark or flat needs at least one frame; none is given")
     variance = squares / (count - 1) if count > 1 else np.full_like(mean, np.nan)
     return Moments(mean, variance, count, saturated)
 
@@ -97,12 +97,12 @@ def find_dead(flat: Array, dark: Array, *, bad: Mask | None = None) -> tuple[Mas
         mask (y, x) and the threshold: response relative to the neighbours', 1 - 8 robust sigmas, from 0.5 to 0.9.
 
     Raises:
-        StageError: the flat shows no light.
+        KernelError: the flat shows no light.
     """
     lit = flat - dark if bad is None else interpolate(flat - dark, bad)
     level = float(np.median(lit))
     if level <= 5 * _sigma(lit - _median(lit)) or level <= 0:
-        raise StageError(f"the flat lies {level:.1f} counts above the dark, which is no light; light the target")
+        raise KernelError(f"the flat lies {level:.1f} counts above the dark, which is no light; light the target")
     around = _median(lit)
     # a corner that the lens leaves black has no response to compare
     relative = np.where(around > 0.02 * level, lit / np.maximum(around, 1e-9), 1.0)
@@ -123,7 +123,7 @@ def interpolate(image: NDArray[Any], bad: Mask) -> Array:
             if good.sum() >= 4:
                 break
         else:
-            raise StageError("every pixel is bad, so there is nothing to interpolate from; check the frames")
+            raise KernelError("every pixel is bad, so there is nothing to interpolate from; check the frames")
         dy, dx = np.ogrid[ys.start - y : ys.start - y + good.shape[0], xs.start - x : xs.start - x + good.shape[1]]
         weight = good / np.maximum(dy * dy + dx * dx, 1)
         out[y, x] = (weight * image[ys, xs]).sum() / weight.sum()

@@ -21,7 +21,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lightstage.dag.stage import StageError
+from lightstage.kernels.errors import KernelError
 
 Array = NDArray[np.float64]
 Method = Literal["sampson", "geometric"]
@@ -61,17 +61,17 @@ def fit_dlt(first: Array, second: Array) -> Array:
         (3, 3), last element 1.
 
     Raises:
-        StageError: fewer than four pairs, or all on a line.
+        KernelError: fewer than four pairs, or all on a line.
     """
     if len(first) < 4:
-        raise StageError(f"a homography needs 4 pairs of corners, not all on a line; {len(first)} are given")
+        raise KernelError(f"a homography needs 4 pairs of corners, not all on a line; {len(first)} are given")
     (t, a), (u, b) = _normalised(first), _normalised(second)
     one, zero = np.ones((len(a), 1)), np.zeros((len(a), 3))
     p = np.concatenate([a, one], 1)
     rows = np.concatenate([np.hstack([p, zero, -b[:, :1] * p]), np.hstack([zero, p, -b[:, 1:] * p])])
     _, strengths, vectors = np.linalg.svd(rows)
     if strengths[7] < 1e-9 * strengths[0]:
-        raise StageError("the corners lie on a line, so they do not give a homography; show the whole board")
+        raise KernelError("the corners lie on a line, so they do not give a homography; show the whole board")
     matrix = np.linalg.inv(u) @ vectors[-1].reshape(3, 3) @ t
     return np.asarray(matrix / matrix[2, 2])
 
@@ -99,7 +99,7 @@ def fit_homography(
         covariance_first, covariance_second: (n, 2, 2), pixels squared; without them all corners count alike.
 
     Raises:
-        StageError: too few corners, or all on a line.
+        KernelError: too few corners, or all on a line.
     """
     (t, a), (u, b) = _normalised(first), _normalised(second)
     eye = np.broadcast_to(np.eye(2), (len(a), 2, 2))

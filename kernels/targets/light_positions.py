@@ -21,7 +21,9 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares, linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
-from lightstage.dag.stage import StageError
+from lightstage.hw.illuminations import light_name
+from lightstage.kernels.errors import KernelError
+from lightstage.kernels.surface.pinhole import Pinhole
 from lightstage.kernels.targets.light_rays import (
     Floats,
     across_rays,
@@ -34,13 +36,37 @@ from lightstage.kernels.targets.light_rays import (
 )
 
 
-class Camera(NamedTuple):
-    """A camera item: X_camera = R X_world + t, mm; distortion k1 k2 p1 p2 k3 or None."""
+class Highlights(NamedTuple):
+    """Where the lights show on each ball; NaN where one is not seen."""
 
-    K: Floats
-    R: Floats
-    t_mm: Floats
-    distortion: Floats | None = None
+    at_px: Floats
+    """(ball, light, xy)."""
+    sigma_px: Floats
+    """(ball, light)."""
+
+
+class Balls(NamedTuple):
+    """Mirror balls of one size, or one at several places."""
+
+    centre_mm: Floats
+    """(ball, xyz), camera frame."""
+    radius_mm: float
+    sigma_mm: tuple[float, float] = (0.1, 0.5)
+    """How well the centres are known, across the line of sight and along it."""
+
+
+class Layout(NamedTuple):
+    """Where the lights were planned, and how well that holds."""
+
+    places: Floats
+    """(place, xyz), unit: those of the lights by their numbers, and what there is beyond."""
+    radius_mm: float
+    radius_sigma_mm: float = 3.0
+    """One ball says little about the radius."""
+    centre_sigma_mm: float = 2.0
+    """How well the layout's centre is known to be the world's origin."""
+    placement_sigma_mm: float = 5.0
+    """tau."""
 
 
 class Finding(NamedTuple):
@@ -73,109 +99,194 @@ class Refined(NamedTuple):
     findings: tuple[Finding, ...]
 
 
-def refine(
-    at_px: Floats, sigma_px: Floats, ball_mm: Floats, ball_radius_mm: float, camera: Camera, layout: Floats,
-    radius_mm: float, *, radius_sigma_mm: float = 3.0, centre_sigma_mm: float = 2.0,
-    placement_sigma_mm: float = 5.0, ball_sigma_mm: tuple[float, float] = (0.1, 0.5),
-) -> Refined:  # fmt: skip
+_SOFT = 2.5
+"""Sigmas from which a light pulls less: one that was mounted elsewhere must not turn the stage."""
+_FAR = 4.0
+"""Sigmas from which a light is off its place."""
+_RIM_PX = 3.0
+"""The stand hides lights at the edge of what is seen; one farther inside than this is no stand's work."""
+_TURN_RAD = 0.003
+"""Usual change of the turn, for the solver's scale."""
+
+
+def refine(highlights: Highlights, balls: Balls, camera: Pinhole, layout: Layout) -> Refined:
     """Place all lights together with the layout they were built to, and find what is wired wrongly.
 
     The ball's centre gets a correction too: a tenth of a millimetre turns all directions by up to 0.3 degrees, and
     a faint outline leaves about that; the mean over all lights knows better.
 
-    Args:
-        at_px, sigma_px: (ball, light, xy) and (ball, light), highlights; NaN where not seen.
-        ball_mm: (ball, xyz) centres, camera frame.
-        layout: (light, xyz), unit, the place of each light as it was planned.
-        radius_mm, radius_sigma_mm: of the stage, and how well it is known; one ball says little about it.
-        centre_sigma_mm: how well the layout's centre is known to be the world's origin.
-        placement_sigma_mm: tau.
-        ball_sigma_mm: how well the balls' centres are known, across the line of sight and along it.
-
     Raises:
-        StageError: fewer than four lights seen, or the directions do not fit the layout.
+        KernelError: fewer than four lights seen, or the directions do not fit the layout.
     """
-    balls, lights = at_px.shape[:2]
-    every = np.arange(lights)
+    start = _start(highlights, balls, camera, layout)
+    stage = _Stage(highlights, balls, camera, layout, start)
+    x = stage.solution()
+    position, sigma, residual, findings = _positions(stage, x)
+    ball_mm = stage.ball_mm(x)
+    dead = _dead(position, highlights.at_px[0], start, ball_mm[0], balls.radius_mm, camera)
+    return Refined(
+        position_mm=position,
+        sigma_mm=sigma,
+        place=start.place,
+        seen=start.seen,
+        residual_mm=residual,
+        turn=stage.turn(x),
+        centre_mm=x[3:6],
+        radius_mm=layout.radius_mm + x[6],
+        ball_mm=ball_mm,
+        findings=(*start.findings, *findings, *dead),
+    )
 
-    def rays(centres: Floats) -> tuple[Floats, Floats]:
-        points, directions = np.empty((balls, lights, 3)), np.empty((balls, lights, 3))
-        for m in range(balls):
-            ray = light_rays(at_px[m], centres[m], ball_radius_mm, camera.K, distortion=camera.distortion)
-            points[m], directions[m] = to_world(*ray, camera.R, camera.t_mm)
-        return points, directions
 
-    points, directions = rays(ball_mm)
+def _rays(highlights: Highlights, centres: Floats, radius_mm: float, camera: Pinhole) -> tuple[Floats, Floats]:
+    """Points on the balls and directions to the lights, (ball, light, xyz), world."""
+    points, directions = np.empty((2, *highlights.at_px.shape[:2], 3))
+    for m, centre in enumerate(centres):
+        ray = light_rays(highlights.at_px[m], centre, radius_mm, camera.matrix, distortion=camera.lens)
+        points[m], directions[m] = to_world(*ray, camera.rotation, camera.translation)
+    return points, directions
+
+
+class _Start(NamedTuple):
+    """What the rays tell by themselves."""
+
+    shown: NDArray[np.bool_]
+    """(ball, light)."""
+    seen: NDArray[np.bool_]
+    """(light): on any ball."""
+    position_mm: Floats
+    """(light, xyz): on the stage's sphere, by the first ball that shows it."""
+    sigma_mm: Floats
+    """(ball, light): error of the ray at the light."""
+    turn: Floats
+    """(3, 3): of the layout."""
+    place: NDArray[np.int64]
+    """(light)."""
+    used: NDArray[np.int64]
+    """Numbers of the lights that are seen and have a place."""
+    findings: tuple[Finding, ...]
+
+
+def _start(highlights: Highlights, balls: Balls, camera: Pinhole, layout: Layout) -> _Start:
+    points, directions = _rays(highlights, balls.centre_mm, balls.radius_mm, camera)
     shown = np.isfinite(directions[..., 0])
     seen: NDArray[np.bool_] = np.any(shown, axis=0)
     if seen.sum() < 4:
-        raise StageError(f"{seen.sum()} lights were seen on the ball; the layout needs four or more")
-    first = shown.argmax(0)
-    start = on_stage(points[first, every], directions[first, every], radius_mm)
-    unit = start / np.linalg.norm(start, axis=1, keepdims=True)
-    gate = 0.5 * float(np.arccos(_spacing(layout)))
-    turn = _kabsch_robust(unit[seen], layout[seen], gate)
+        raise KernelError(f"{seen.sum()} lights were seen on the ball; the layout needs four or more")
+    first, every = shown.argmax(0), np.arange(shown.shape[1])
+    position = on_stage(points[first, every], directions[first, every], layout.radius_mm)
+    unit = position / np.linalg.norm(position, axis=1, keepdims=True)
+    gate = 0.5 * float(np.arccos(_spacing(layout.places)))
+    turn = _turn_of_most(unit[seen], layout.places[seen], gate)
     sigma_rad = np.stack([
-        ray_sigma(at_px[m], sigma_px[m], ball_mm[m], ball_radius_mm, camera.K, distortion=camera.distortion)
-        for m in range(balls)
+        ray_sigma(at, sigma, centre, balls.radius_mm, camera.matrix, distortion=camera.lens)
+        for at, sigma, centre in zip(*highlights, balls.centre_mm, strict=True)
     ])  # fmt: skip
-    place, findings = _wiring(unit, layout @ turn.T, sigma_rad[first, every], seen, gate)
+    place, findings = _wiring(unit, layout.places @ turn.T, sigma_rad[first, every], seen, gate)
     used = np.flatnonzero(seen & (place >= 0))
     if used.size < max(4, seen.sum() / 2):
-        raise StageError("the directions do not fit the layout; check the camera's pose and the layout's order")
-    sigma_ray = sigma_rad * np.linalg.norm(start - points, axis=2)
-    across = np.hypot(placement_sigma_mm, sigma_ray)
+        raise KernelError("the directions do not fit the layout; check the camera's pose and the layout's order")
+    sigma_mm = sigma_rad * np.linalg.norm(position - points, axis=2)
+    return _Start(shown, seen, position, sigma_mm, turn, place, used, tuple(findings))
 
-    def places(x: Floats) -> Floats:
-        return np.asarray((radius_mm + x[6]) * layout @ (Rotation.from_rotvec(x[:3]).as_matrix() @ turn).T + x[3:6])
 
-    def gaps(x: Floats) -> Floats:
-        points, directions = rays(ball_mm + x[7:].reshape(balls, 3))
-        gap = places(x)[place[used]] - points[:, used]
+class _Stage:
+    """The unknowns x and their cost: rotation vector (3), centre (3), change of the radius, moves of the balls."""
+
+    def __init__(
+        self, highlights: Highlights, balls: Balls, camera: Pinhole, layout: Layout, start: _Start
+    ) -> None:
+        self._highlights, self._balls, self._camera = highlights, balls, camera
+        self.layout, self.start = layout, start
+        self.across_mm = np.hypot(layout.placement_sigma_mm, start.sigma_mm)
+        """(ball, light): how far from its ray a light's place may be."""
+        side, depth = balls.sigma_mm
+        self._prior = np.array(
+            [np.inf] * 3
+            + [layout.centre_sigma_mm] * 3
+            + [layout.radius_sigma_mm]
+            + [side, side, depth] * len(balls.centre_mm)
+        )
+
+    def turn(self, x: Floats) -> Floats:
+        """(3, 3) of the layout."""
+        return np.asarray(Rotation.from_rotvec(x[:3]).as_matrix() @ self.start.turn)
+
+    def ball_mm(self, x: Floats) -> Floats:
+        """(ball, xyz), camera frame."""
+        return np.asarray(self._balls.centre_mm + x[7:].reshape(-1, 3))
+
+    def rays(self, x: Floats) -> tuple[Floats, Floats]:
+        """As `_rays`."""
+        return _rays(self._highlights, self.ball_mm(x), self._balls.radius_mm, self._camera)
+
+    def places(self, x: Floats) -> Floats:
+        """(place, xyz), world, mm."""
+        return np.asarray((self.layout.radius_mm + x[6]) * self.layout.places @ self.turn(x).T + x[3:6])
+
+    def gaps(self, x: Floats) -> Floats:
+        """(ball, used light, xyz): from rays to places, across the rays, mm."""
+        used = self.start.used
+        points, directions = self.rays(x)
+        gap = self.places(x)[self.start.place[used]] - points[:, used]
         return np.asarray(gap - (gap * directions[:, used]).sum(-1, keepdims=True) * directions[:, used])
 
-    side, depth = ball_sigma_mm
-    prior = np.array([np.inf] * 3 + [centre_sigma_mm] * 3 + [radius_sigma_mm] + [side, side, depth] * balls)
-
-    def cost(x: Floats) -> Floats:
-        flat = (gaps(x) / across[:, used, None])[shown[:, used]]
-        # soft from 2.5 sigma on: a light that was mounted elsewhere must not turn the stage
+    def _cost(self, x: Floats) -> Floats:
+        used = self.start.used
+        flat = (self.gaps(x) / self.across_mm[:, used, None])[self.start.shown[:, used]]
         size = np.linalg.norm(flat, axis=1)
-        soft = np.where(size > 2.5, np.sqrt(2 * 2.5 * np.maximum(size, 2.5) - 2.5**2) / np.maximum(size, 1e-9), 1.0)
-        return np.concatenate([(flat * soft[:, None]).ravel(), x / prior])
+        less = np.sqrt(2 * _SOFT * np.maximum(size, _SOFT) - _SOFT**2) / np.maximum(size, 1e-9)
+        soft = np.where(size > _SOFT, less, 1.0)
+        return np.concatenate([(flat * soft[:, None]).ravel(), x / self._prior])
 
-    x = least_squares(cost, np.zeros(7 + 3 * balls), x_scale=np.where(np.isfinite(prior), prior, 0.003)).x
-    ideal, residual = places(x), np.full(lights, np.nan)
-    off = np.where(shown[:, used], np.linalg.norm(gaps(x), axis=2), 0)
-    residual[used] = off.max(0)
-    points, directions = rays(ball_mm + x[7:].reshape(balls, 3))
+    def solution(self) -> Floats:
+        """The x of least cost."""
+        scale = np.where(np.isfinite(self._prior), self._prior, _TURN_RAD)
+        return np.asarray(least_squares(self._cost, np.zeros(self._prior.size), x_scale=scale).x)
+
+
+def _positions(stage: _Stage, x: Floats) -> tuple[Floats, Floats, Floats, list[Finding]]:
+    """Every light where its rays and its place have it: position (light, xyz), sigma and residual (light)."""
+    start, layout = stage.start, stage.layout
+    lights = len(start.seen)
+    ideal, residual = stage.places(x), np.full(lights, np.nan)
+    residual[start.used] = np.where(start.shown[:, start.used], np.linalg.norm(stage.gaps(x), axis=2), 0).max(0)
+    points, directions = stage.rays(x)
     position, sigma = np.full((lights, 3), np.nan), np.full(lights, np.nan)
-    for k in every:
-        if not seen[k] and place[k] >= 0:
-            position[k], sigma[k] = ideal[place[k]], placement_sigma_mm
-        elif seen[k]:
-            tau, ray = placement_sigma_mm, shown[:, k]
-            middle = ideal[place[k]] if place[k] >= 0 else start[k]
-            if place[k] < 0:
-                tau = radius_sigma_mm
-            elif residual[k] > 4 * float(across[ray, k].max()):
-                name = f"L{k:02d} is {residual[k]:.0f} mm off its place, more than four times what is allowed for"
-                findings.append(Finding("off its place", (int(k),), name))
-                # then the place says little about it
-                tau = float(residual[k])
-            matrix, vector = across_rays(points[ray, k], directions[ray, k], sigma_ray[ray, k])
-            matrix, vector = matrix + np.eye(3) / tau**2, vector + middle / tau**2
-            position[k], sigma[k] = np.linalg.solve(matrix, vector), 1 / np.sqrt(np.linalg.eigvalsh(matrix)[0])
-    whole = Rotation.from_rotvec(x[:3]).as_matrix() @ turn
-    ball = ball_mm + x[7:].reshape(balls, 3)
-    shows = predicted_px(position @ camera.R.T + camera.t_mm, ball[0], ball_radius_mm, camera.K)
-    hull = cv2.convexHull(at_px[0][shown[0]].astype(np.float32)[:, None]) if shown[0].sum() > 2 else None
-    for k in np.flatnonzero(~seen & (place >= 0)):
-        # the stand hides lights at the edge of what is seen; one in the midst of it is no stand's work
-        if hull is not None and cv2.pointPolygonTest(hull, (float(shows[k, 0]), float(shows[k, 1])), True) > 3:
-            name = f"L{k:02d} has no highlight of its own, though the lights around it have: dead, or not connected"
-            findings.append(Finding("dead", (int(k),), name))
-    return Refined(position, sigma, place, seen, residual, whole, x[3:6], radius_mm + x[6], ball, tuple(findings))
+    findings = []
+    for k in range(lights):
+        place = start.place[k]
+        if not start.seen[k]:
+            if place >= 0:
+                position[k], sigma[k] = ideal[place], layout.placement_sigma_mm
+            continue
+        ray = start.shown[:, k]
+        tau = layout.placement_sigma_mm if place >= 0 else layout.radius_sigma_mm
+        middle = ideal[place] if place >= 0 else start.position_mm[k]
+        if place >= 0 and residual[k] > _FAR * float(stage.across_mm[ray, k].max()):
+            off_by = f"{residual[k]:.0f} mm off its place, more than four times what is allowed for"
+            findings.append(Finding("off its place", (k,), f"{light_name(k)} is {off_by}"))
+            tau = float(residual[k])  # then the place says little about it
+        matrix, vector = across_rays(points[ray, k], directions[ray, k], start.sigma_mm[ray, k])
+        matrix, vector = matrix + np.eye(3) / tau**2, vector + middle / tau**2
+        position[k], sigma[k] = np.linalg.solve(matrix, vector), 1 / np.sqrt(np.linalg.eigvalsh(matrix)[0])
+    return position, sigma, residual, findings
+
+
+def _dead(
+    position: Floats, at_px: Floats, start: _Start, ball_mm: Floats, radius_mm: float, camera: Pinhole
+) -> list[Finding]:
+    """Lights without a highlight, `at_px` (light, xy) of the first ball, in the midst of those that have one."""
+    if start.shown[0].sum() <= 2:
+        return []
+    expected = predicted_px(camera.to_camera(position), ball_mm, radius_mm, camera.matrix)
+    hull = cv2.convexHull(at_px[start.shown[0]].astype(np.float32)[:, None])
+    lacks = "has no highlight of its own, though the lights around it have: dead, or not connected"
+    return [
+        Finding("dead", (k,), f"{light_name(k)} {lacks}")
+        for k in np.flatnonzero(~start.seen & (start.place >= 0)).tolist()
+        if cv2.pointPolygonTest(hull, (float(expected[k, 0]), float(expected[k, 1])), True) > _RIM_PX
+    ]
 
 
 def _wiring(
@@ -199,19 +310,19 @@ def _wiring(
         elif apart[i, nearest] < gate:
             place[k] = nearest
             other = [int(m) for m in lights if m != k and np.arccos(np.clip(unit[m] @ unit[k], -1, 1)) < gate]
-            what = f"L{k:02d} shows the same place as {', '.join(f'L{m:02d}' for m in other)}: place {nearest}"
+            what = f"{light_name(k)} shows the same place as {', '.join(map(light_name, other))}: place {nearest}"
             findings.append(Finding("same place", (k, *other), what))
         else:
-            what = f"L{k:02d} is {np.degrees(apart[i, nearest]):.1f} degrees from the nearest place of the layout"
-            findings.append(Finding("no place", (k,), what))
+            away = f"{np.degrees(apart[i, nearest]):.1f} degrees from the nearest place of the layout"
+            findings.append(Finding("no place", (k,), f"{light_name(k)} is {away}"))
     told = {finding.lights[0] for finding in findings}
     for k in lights.tolist():
         j = int(place[k])
         if j >= 0 and j < len(seen) and place[j] == k and k < j:
-            what = f"L{k:02d} and L{j:02d} are swapped: each shows at the other's place"
+            what = f"{light_name(k)} and {light_name(j)} are swapped: each shows at the other's place"
             findings.append(Finding("swapped", (k, j), what))
         elif j >= 0 and j != k and not (j < len(seen) and place[j] == k) and k not in told:
-            what = f"L{k:02d} shows at the place of L{j:02d}"
+            what = f"{light_name(k)} shows at the place of {light_name(j)}"
             findings.append(Finding("elsewhere", (k, j), what))
     free = [j for j in range(len(placed)) if j not in set(place.tolist())]
     for k in np.flatnonzero(~seen).tolist():
@@ -224,23 +335,22 @@ def _wiring(
     return place.astype(np.int64), findings
 
 
-def _kabsch_robust(unit: Floats, layout: Floats, gate: float) -> Floats:
+def _turn_of_most(unit: Floats, layout: Floats, gate: float) -> Floats:
     """Rotation with unit = Q layout for most of them."""
     random = np.random.default_rng(0)
     best, most = np.eye(3), -1.0
     for _ in range(200):
         some = random.choice(len(unit), min(3, len(unit)), replace=False)
-        turn = _kabsch(unit[some], layout[some])
+        turn = _turn(unit[some], layout[some])
         fit = float(np.clip(1 - angle(unit, layout @ turn.T) / gate, 0, None).sum())
         if fit > most:
             best, most = turn, fit
     near = angle(unit, layout @ best.T) < 0.5 * gate
-    return _kabsch(unit[near], layout[near]) if near.sum() >= 3 else best
+    return _turn(unit[near], layout[near]) if near.sum() >= 3 else best
 
 
-def _kabsch(unit: Floats, layout: Floats) -> Floats:
-    u, _, v = np.linalg.svd(unit.T @ layout)
-    return np.asarray(u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ v))]) @ v)
+def _turn(unit: Floats, layout: Floats) -> Floats:
+    return np.asarray(Rotation.align_vectors(unit, layout)[0].as_matrix())
 
 
 def _spacing(layout: Floats) -> float:

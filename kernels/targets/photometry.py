@@ -10,7 +10,7 @@ sums of one-light sums exactly, neighbours in aperture or ring included, and `sy
 import numpy as np
 from numpy.typing import NDArray
 
-from lightstage.dag.stage import StageError
+from lightstage.kernels.errors import KernelError
 
 Array = NDArray[np.float64]
 
@@ -32,11 +32,11 @@ def highlight_sums(
         the aperture is saturated.
 
     Raises:
-        StageError: a highlight is too near the border of the picture.
+        KernelError: a highlight is too near the border of the picture.
     """
     shape = pictures.shape[1:]
     if dark.shape != shape:
-        raise StageError(f"the dark is {dark.shape} pixels and the pictures {shape}; both must be of one camera")
+        raise KernelError(f"the dark is {dark.shape} pixels and the pictures {shape}; both must be of one camera")
     reach = int(np.ceil(radius_px)) + 4
     sums = np.full((len(pictures), len(positions)), np.nan)
     saturated = np.zeros(sums.shape, np.bool_)
@@ -45,7 +45,7 @@ def highlight_sums(
             continue
         top, left = round(y) - reach, round(x) - reach
         if top < 0 or left < 0 or top + 2 * reach >= shape[0] or left + 2 * reach >= shape[1]:
-            raise StageError(
+            raise KernelError(
                 f"the highlight of light {k} at ({x:.1f}, {y:.1f}) is within {reach} pixels of the border; "
                 "move the ball, or leave the light out"
             )

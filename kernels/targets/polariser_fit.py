@@ -18,7 +18,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lightstage.dag.stage import StageError
+from lightstage.kernels.errors import KernelError
 
 Array = NDArray[np.float64]
 GRAZING_DEG = 40.0
@@ -68,11 +68,11 @@ def fit_polarisers(
         floor_counts2: variance of a sum without light (`photometry.variance` at 0).
 
     Raises:
-        StageError: shapes disagree, or a light that is seen has fewer than three different usable angles.
+        KernelError: shapes disagree, or a light that is seen has fewer than three different usable angles.
     """
     count = len(intensities)
     if intensities.ndim != 2 or angles_deg.shape[-1] != intensities.shape[1]:
-        raise StageError(
+        raise KernelError(
             f"intensities {intensities.shape} and angles {angles_deg.shape} must share their last axis"
         )
     angles = np.broadcast_to(np.radians(angles_deg), intensities.shape)
@@ -85,7 +85,7 @@ def fit_polarisers(
         pick = usable[k]
         distinct = _distinct(angles[k, pick])
         if distinct < 3:
-            raise StageError(
+            raise KernelError(
                 f"light {k} has {distinct} different polariser angles without saturation; three, apart by more "
                 "than a degree and not by 180, are the least"
             )

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import f as f_distribution
 
-from lightstage.dag.stage import StageError
+from lightstage.kernels.errors import KernelError
 from lightstage.kernels.targets.homography_fit import Fit, homography_basis
 
 Array = NDArray[np.float64]
@@ -51,7 +51,7 @@ def check_field(fit: Fit, first: Array, board: NDArray[np.int_], *, degree: int 
     """
     boards = int(board.max()) + 1
     if len(first) < 2 * (degree + 1) * (degree + 2) // 2:
-        raise StageError(f"{len(first)} corners are too few to tell a smooth residual from noise; use more boards")
+        raise KernelError(f"{len(first)} corners are too few to tell a smooth residual from noise; use more boards")
     scaled = (first - first.mean(0)) / np.ptp(first, axis=0).max()
     x, y = scaled.T
     powers = np.stack([x**i * y**j for i in range(degree + 1) for j in range(degree + 1 - i)], 1)

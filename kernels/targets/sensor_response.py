@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lightstage.dag.stage import StageError
+from lightstage.kernels.errors import KernelError
 from lightstage.kernels.targets.defects import Mask, Moments
 
 Array = NDArray[np.float64]
@@ -51,16 +51,18 @@ def photon_transfer(dark: Moments, flats: Iterable[Moments], *, bad: Mask | None
     are averaged, never their median: that of few frames is skewed.
 
     Raises:
-        StageError: fewer than two frames of dark or of every flat, or all saturated.
+        KernelError: fewer than two frames of dark or of every flat, or all saturated.
     """
     use = np.ones(dark.mean.shape, np.bool_) if bad is None else ~bad
     if dark.frames < 2:
-        raise StageError("the gain needs the noise: two dark frames are the least, one is given")
+        raise KernelError("the gain needs the noise: two dark frames are the least, one is given")
     base = float(dark.variance[use].mean())
     numerator = denominator = weights = 0.0
     for flat in flats:
         if flat.frames < 2:
-            raise StageError("the gain needs the noise: two flat frames of every level are the least, one is given")
+            raise KernelError(
+                "the gain needs the noise: two flat frames of every level are the least, one is given"
+            )
         # the top of the noise is cut off where a frame saturates: the variance would be too small
         good = use & ~flat.saturated
         if not good.any():
@@ -72,7 +74,7 @@ def photon_transfer(dark: Moments, flats: Iterable[Moments], *, bad: Mask | None
         denominator += float(excess.sum()) * (flat.frames - 1)
         weights += float(good.sum()) * (flat.frames - 1)
     if denominator <= 0:
-        raise StageError("the flats are not noisier than the dark, so they tell no gain: saturated, or not lit")
+        raise KernelError("the flats are not noisier than the dark, so they tell no gain: saturated, or not lit")
     gain = numerator / denominator
     read = np.sqrt(max(base - _QUANTISATION, 0.0)) * gain
     return PhotonTransfer(gain, float(gain * np.sqrt(2 / weights)), float(read))
@@ -87,7 +89,7 @@ def fit_linearity(exposure_s: Array, counts: Array, *, white_level: int) -> Line
             of the brighter half of the pixels counts.
 
     Raises:
-        StageError: fewer than three different exposures below saturation.
+        KernelError: fewer than three different exposures below saturation.
     """
     times = np.asarray(exposure_s, float)
     values = np.asarray(counts, float)
@@ -114,7 +116,7 @@ def fit_linearity(exposure_s: Array, counts: Array, *, white_level: int) -> Line
         if np.unique(times[linear]).size >= 2:
             slope, offset = np.polyfit(times[linear], values[linear], 1)
     if np.unique(times[linear]).size < 3:
-        raise StageError(
+        raise KernelError(
             f"{len(linear)} exposures lie below saturation; three different ones are the least: expose more shortly"
         )
     deviation = np.full(times.size, np.nan)

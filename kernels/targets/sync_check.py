@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from lightstage.dag.stage import StageError
+from lightstage.kernels.errors import KernelError
 
 Array = NDArray[np.float64]
 _SWAP, _GAP, _WRONG = 1.0, 1.2, 1.5
@@ -79,23 +79,25 @@ def check(
         dark_below: a picture with less drive than this share of one pattern shows no light, `O`.
 
     Raises:
-        StageError: shapes disagree, an illumination has no pattern, or no light of a pattern is seen.
+        KernelError: shapes disagree, an illumination has no pattern, or no light of a pattern is seen.
     """
     frames, lights = sums.shape
     if one_light.shape != (lights, lights) or len(declared) != frames:
-        raise StageError(
+        raise KernelError(
             f"{frames} frames of {lights} highlights need {frames} names and ({lights}, {lights}) one-light "
             f"highlights, not {len(declared)} and {one_light.shape}"
         )
     unknown = sorted(set(declared) - set(patterns))
     if unknown:
-        raise StageError(f"the illumination '{unknown[0]}' has no pattern; known are {', '.join(sorted(patterns))}")
+        raise KernelError(
+            f"the illumination '{unknown[0]}' has no pattern; known are {', '.join(sorted(patterns))}"
+        )
     strength = np.diag(one_light)
     seen = np.isfinite(strength) & (strength > 0.05 * np.nanmedian(strength))
     names = list(dict.fromkeys(declared))
     for name in names:
         if patterns[name].any() and not patterns[name][seen].any():
-            raise StageError(f"no light of {name} is seen on the ball; place the ball so that each pattern shows")
+            raise KernelError(f"no light of {name} is seen on the ball; place the ball so that each pattern shows")
     crossed = _neighbours(one_light, strength, seen)
     drive = np.full(sums.shape, np.nan)
     spread = np.full(sums.shape, np.nan)

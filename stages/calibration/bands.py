@@ -29,6 +29,7 @@ from lightstage.dag.stage import (
     StageError,
 )
 from lightstage.hw import color_checker
+from lightstage.kernels.errors import KernelError
 from lightstage.kernels.targets.band_scale import (
     band_scale,
     checker_reflectance,
@@ -90,7 +91,7 @@ def bands(
         try:
             outlines = find_checker(corrected, red=order[-1], green=order[len(order) // 2], blue=order[0])
             patches = checker_reflectance(corrected, outlines)
-        except StageError:
+        except KernelError:
             pass  # most captures show none
     return {
         "scale": found.scale,

@@ -32,9 +32,11 @@ from lightstage.dag.stage import (
     StageError,
 )
 from lightstage.hw.geodesic import light_positions
+from lightstage.kernels.errors import KernelError
+from lightstage.kernels.surface.pinhole import Pinhole
 from lightstage.kernels.targets.ball_conic import sphere_centre
 from lightstage.kernels.targets.ball_outline import find_outline
-from lightstage.kernels.targets.light_positions import Camera, refine
+from lightstage.kernels.targets.light_positions import Balls, Highlights, Layout, refine
 from lightstage.kernels.targets.light_rays import (
     light_rays,
     orthographic_directions,
@@ -144,7 +146,7 @@ def lights(
             mean += picture
         try:
             outlines.append(_nearby(find_outline(mean / len(pictures), mask=mask, **lens), ring[ball], lens))
-        except StageError:
+        except KernelError:
             outlines.append(_kept(ring[ball], lens))  # the one-light pictures may show no outline at all
     out: dict[str, Any] = {
         "at_px": at,
@@ -168,21 +170,17 @@ def lights(
         direction = orthographic_directions(at[0], ball.centre_px, ball.radius_px)
         return {**out, "direction": direction}
     centres = np.stack([sphere_centre(o.conic, lens["intrinsics"], ball_radius_mm) for o in outlines])
-    pose = camera["world_to_camera"]
-    eye = Camera(
-        np.asarray(camera["K"], float),
-        np.asarray(pose["R"], float),
-        np.asarray(pose["t_mm"], float),
-        np.asarray(camera["distortion"], float),
-    )
+    shape = (raw[0].shape[0], raw[0].shape[1])
+    eye = Pinhole.of({**camera, "size_px": shape[::-1]}, shape)
     if layout_vectors is None:
         return {**out, **_without_layout(at, sigma, centres, ball_radius_mm, eye)}
-    prior: Any = {"radius_sigma_mm": stage_sigma_mm, "placement_sigma_mm": placement_sigma_mm}
-    found = refine(at, sigma, centres, ball_radius_mm, eye, layout_vectors, stage_radius_mm, **prior)
+    highlights, spheres = Highlights(at, sigma), Balls(centres, ball_radius_mm)
+    layout = Layout(layout_vectors, stage_radius_mm, stage_sigma_mm, placement_sigma_mm=placement_sigma_mm)
+    found = refine(highlights, spheres, eye, layout)
     order = renumbered(found.place, layout_vectors)
     if order is not None:
         layout_vectors = layout_vectors[order]
-        found = refine(at, sigma, centres, ball_radius_mm, eye, layout_vectors, stage_radius_mm, **prior)
+        found = refine(highlights, spheres, eye, layout._replace(places=layout_vectors))
     off_place = np.zeros(count, np.bool_)
     off_place[[k for f in found.findings if f.kind == "off its place" for k in f.lights]] = True
     unit = found.position_mm / np.linalg.norm(found.position_mm, axis=1, keepdims=True)
@@ -205,17 +203,17 @@ def lights(
 
 
 def _without_layout(
-    at: Floats, sigma: Floats, centres: Floats, ball_radius_mm: float, eye: Camera
+    at: Floats, sigma: Floats, centres: Floats, ball_radius_mm: float, eye: Pinhole
 ) -> Mapping[str, Floats]:
     """Directions of the rays; with several places of the ball, positions where they meet."""
     rays = [
-        to_world(*light_rays(a, c, ball_radius_mm, eye.K, distortion=eye.distortion), eye.R, eye.t_mm)
+        to_world(*light_rays(a, c, ball_radius_mm, eye.matrix, distortion=eye.lens), eye.rotation, eye.translation)
         for a, c in zip(at, centres, strict=True)
     ]
     points, directions = (np.stack(part) for part in zip(*rays, strict=True))
     spread = np.stack(
         [
-            ray_sigma(a, s, c, ball_radius_mm, eye.K, distortion=eye.distortion)
+            ray_sigma(a, s, c, ball_radius_mm, eye.matrix, distortion=eye.lens)
             for a, s, c in zip(at, sigma, centres, strict=True)
         ]
     )

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from lightstage.dag.stage import Grid, StageError
 from lightstage.kernels.appearance import absorption, skin_layers
+from lightstage.kernels.errors import KernelError
 from lightstage.stages.chromophores import STAGE, ChromophoresParams, chromophores, predicted
 
 NAN = np.nan
@@ -154,9 +155,9 @@ def test_what_is_not_skin_is_named() -> None:
 
 
 def test_refusals() -> None:
-    with pytest.raises(StageError, match=r"550 nm.*width_nm or its curve"):
+    with pytest.raises(KernelError, match=r"550 nm.*width_nm or its curve"):
         absorption.pass_bands([{"centre_nm": 550, "width_nm": None}])
-    with pytest.raises(StageError, match=r"850 nm reaches from 840 to 860 nm; .* 380 to 780 nm"):
+    with pytest.raises(KernelError, match=r"850 nm reaches from 840 to 860 nm; .* 380 to 780 nm"):
         absorption.pass_bands([{"centre_nm": 850, "width_nm": 20}])
     for bands, said in (([497.0, 576.0], "497 nm, 576 nm"), ([0.0, 0.0, 0.0], "unfiltered light")):
         with pytest.raises(StageError, match=f"three or more filtered bands, this session has {said}"):

@@ -11,9 +11,13 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from lightstage.dag.stage import Grid, StageError
+from lightstage.hw.illuminations import GRADIENTS
+from lightstage.kernels.errors import KernelError
 from lightstage.kernels.normals import one_light
-from lightstage.kernels.normals.spherical_gradients import FILL, GRADIENTS, STEPS, solve, table
-from lightstage.kernels.pictures.band_fusion import fuse, noise_model
+from lightstage.kernels.normals.gradient_methods import table
+from lightstage.kernels.normals.spherical_gradients import FILL, STEPS, solve
+from lightstage.kernels.pictures.band_fusion import fuse
+from lightstage.kernels.pictures.noise import noise_model
 from lightstage.stages.normals import STAGE, Choice, NormalsParams, choose, light_directions, normals, view_vectors
 from tests.scenes import STATIC, angle_deg, decoded, ideal_gradient, sphere_normals
 
@@ -296,7 +300,7 @@ def test_auto_takes_the_best_that_the_frames_support(have: str, expected: tuple[
 def test_a_missing_illumination_says_what_is_needed_what_there_is_and_what_would_work(
     have: str, ask: dict[str, str], parts: list[str]
 ) -> None:
-    with pytest.raises(StageError) as caught:
+    with pytest.raises(KernelError) as caught:
         choose(have.split(), **ask)
     assert all(part in str(caught.value) for part in parts), str(caught.value)
 

@@ -4,7 +4,6 @@ import colour
 import numpy as np
 import pytest
 
-from lightstage.dag.stage import StageError
 from lightstage.kernels.appearance import absorption
 from lightstage.kernels.appearance.colour import (
     NM,
@@ -16,6 +15,7 @@ from lightstage.kernels.appearance.colour import (
     spectrum_matrix,
     xyz_matrix,
 )
+from lightstage.kernels.errors import KernelError
 
 SIX = (407.0, 434.0, 445.0, 497.0, 576.0, 655.0)
 WIDTHS = (17.0, 17.0, 20.0, 16.0, 10.0, 15.0)
@@ -93,5 +93,5 @@ def test_codes_come_back() -> None:
 
 
 def test_an_unknown_illuminant_is_named() -> None:
-    with pytest.raises(StageError, match="'D66' is no CIE illuminant; there are A, B, C"):
+    with pytest.raises(KernelError, match="'D66' is no CIE illuminant; there are A, B, C"):
         xyz_matrix(SIX, WIDTHS, illuminant="D66")

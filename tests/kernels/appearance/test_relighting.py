@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lightstage.dag.stage import StageError
 from lightstage.kernels.appearance.microfacets import at_normal_incidence
 from lightstage.kernels.appearance.relighting import Lamps, Surface, compare, median_cut, relight
+from lightstage.kernels.errors import KernelError
 from lightstage.kernels.surface.pinhole import Pinhole
 from tests.scenes import LIGHT_MM, light_places, near_ball
 
@@ -136,9 +136,9 @@ def test_likeness_by_hand() -> None:
 def test_what_cannot_be_relit_is_refused() -> None:
     surface, camera, (places, _) = ball()
     nothing = surface._replace(depth_mm=np.full_like(surface.depth_mm, np.nan))
-    with pytest.raises(StageError, match="nothing to relight"):
+    with pytest.raises(KernelError, match="nothing to relight"):
         relight(nothing, camera, near(places, np.ones((len(places), 1))))
-    with pytest.raises(StageError, match="environment"):
+    with pytest.raises(KernelError, match="environment"):
         median_cut(np.zeros((4, 8, 3)), 16)
 
 

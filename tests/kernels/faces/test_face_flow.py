@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks.face_scenes import PARTS, framed, true_flow, view
-from lightstage.dag.stage import StageError
+from lightstage.kernels.errors import KernelError
 from lightstage.kernels.faces.face_flow import between, face_flow, landed, mixed_normals, pulled, through_points
 from lightstage.kernels.faces.face_frame import Frame
 from tests.scenes import angle_deg
@@ -114,7 +114,7 @@ def test_points_by_hand_are_met_and_the_border_holds(flow: Any) -> None:
     # the spline is exact at points; between pixels the flow is read bilinearly
     np.testing.assert_allclose(landed(own, through), wanted, atol=0.05)
     np.testing.assert_allclose(through[:, 0, 0], flow[:, 0, 0], atol=1e-3)
-    with pytest.raises(StageError, match="the same"):
+    with pytest.raises(KernelError, match="the same"):
         through_points(flow, own[[0, 0]], wanted[:2])
 
 

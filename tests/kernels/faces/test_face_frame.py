@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lightstage.dag.stage import StageError
+from lightstage.kernels.errors import KernelError
 from lightstage.kernels.faces.face_frame import Frame, bring, find_face, similarity, turned
 
 FRAME = Frame(40)
@@ -48,7 +48,7 @@ def test_a_linear_picture_is_resampled_exactly_and_gaps_are_filled() -> None:
     out, there = bring(picture, matrix, FRAME.shape)
     assert np.isfinite(out).all()
     assert 0 < np.count_nonzero(~there & inside) < 200
-    with pytest.raises(StageError, match="no valid pixel"):
+    with pytest.raises(KernelError, match="no valid pixel"):
         bring(np.full((1, 8, 8), np.nan, np.float32), matrix, FRAME.shape)
 
 
@@ -84,5 +84,5 @@ def test_a_sphere_is_no_face() -> None:
     inside = x**2 + y**2 < 1
     z = np.sqrt(np.maximum(1 - x**2 - y**2, 0))
     normal = np.where(inside, np.stack([x, -y, z]), np.nan).astype(np.float32)
-    with pytest.raises(StageError, match="no face"):
+    with pytest.raises(KernelError, match="no face"):
         find_face(normal, mean_face()[0])

@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.face_scenes import framed, view
-from lightstage.dag.stage import StageError
 from lightstage.hw.head import pigments
 from lightstage.kernels.appearance.colour import decode_srgb, encode_srgb
 from lightstage.kernels.appearance.shading import parse_lights, shade
+from lightstage.kernels.errors import KernelError
 from lightstage.kernels.faces.face_frame import Frame, bring
 from lightstage.kernels.faces.matching import Encoding, apart, figures, grey_setting, match, rings, spectrum
 
@@ -177,7 +177,7 @@ def test_inputs_may_be_read_only_and_stay() -> None:
 
 
 def test_wrong_requests_are_named() -> None:
-    with pytest.raises(StageError, match="no way of matching"):
+    with pytest.raises(KernelError, match="no way of matching"):
         match(faces(1), setting(), ["mode"])
-    with pytest.raises(StageError, match="no contrast"):
+    with pytest.raises(KernelError, match="no contrast"):
         match([np.full(FRAME.shape, 0.5)], setting(), ["mean-contrast"])

@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lightstage.dag.stage import StageError
+from lightstage.kernels.errors import KernelError
 from lightstage.kernels.normals import near_light, self_consistent
-from lightstage.kernels.normals.near_light import Lights, Measured, invert, measure
+from lightstage.kernels.normals.near_light import Lights, LightVectors, invert, measure
 from lightstage.kernels.normals.normal_filter import noise_factor, non_local_means
 from lightstage.kernels.normals.rig_normals import surface_normals
 from lightstage.kernels.pictures.subject_mask import find_subject
@@ -28,7 +28,7 @@ def ball() -> tuple[Any, ...]:
     return (*near_ball(places, drive), lights_of(places, drive))
 
 
-def read(pictures: dict[str, Any]) -> Measured:
+def read(pictures: dict[str, Any]) -> LightVectors:
     return measure([{name: picture.astype(np.float32) for name, picture in pictures.items()}])
 
 
@@ -160,9 +160,9 @@ def test_a_point_without_measurement_has_no_normal_and_inputs_stay_as_they_are()
 
 def test_lights_without_a_place_are_refused_for_near_models() -> None:
     row = {"id": "L00", "position_mm": None, "direction": [0, 0, 1], "drive_position": None, "power": 1.0}
-    with pytest.raises(StageError, match="L00 a direction only"):
+    with pytest.raises(KernelError, match="L00 a direction only"):
         Lights.of({"lights": [row]}, near=True)
-    with pytest.raises(StageError, match="in one plane"):
+    with pytest.raises(KernelError, match="in one plane"):
         Lights.of({"lights": [row] * 5}, near=False)
 
 
@@ -307,7 +307,7 @@ def test_the_subject_is_found_and_nothing_is_an_error() -> None:
     mask = find_subject(picture)
     assert mask[25:55, 35:65].all()
     assert not mask[:19].any()
-    with pytest.raises(StageError, match="no subject stands out"):
+    with pytest.raises(KernelError, match="no subject stands out"):
         find_subject(np.zeros((50, 50)))
 
 

@@ -48,7 +48,7 @@ def pitted() -> tuple[Any, ...]:
     out = []
     for cones in (cone, None):
         pictures, _, depth, camera = near_ball(places, drive, cone_deg=cones)
-        rig = rig_normals.Rig(Pinhole.of(camera, (96, 96)), lights, np.isfinite(depth))
+        rig = rig_normals.Scene(Pinhole.of(camera, (96, 96)), lights, np.isfinite(depth))
         bands = [{name: picture.astype(np.float32) for name, picture in pictures.items()}]
         found = rig_normals.solve(bands, rig, model="near+shadows", as_one=False, filtered="none")
         out.append((found["irradiance"], pictures["C"]))

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lightstage.kernels.normals.near_light import Lights, Measured
+from lightstage.kernels.normals.near_light import Lights, LightVectors
 from lightstage.kernels.surface.integration import softest
 from lightstage.kernels.surface.loose_parts import LooseParts
 from lightstage.kernels.surface.pinhole import Pinhole
@@ -53,7 +53,9 @@ def scene() -> tuple[Any, ...]:
     arrives = visible(points, depth, camera, lights.position) * cosine * (LIGHT_MM / distance) ** 2
     vector, constant = np.zeros((1, SIZE, SIZE, 3)), np.zeros((1, SIZE, SIZE))
     vector[0][mask], constant[0][mask] = arrives @ lights.drive, arrives.sum(axis=1)
-    measured = Measured(vector / np.maximum(constant, 1e-9)[..., None], mask[None].astype(float), 1e6 * mask[None])
+    measured = LightVectors(
+        vector / np.maximum(constant, 1e-9)[..., None], mask[None].astype(float), 1e6 * mask[None]
+    )
     return measured, np.where(mask[..., None], normal @ camera.rotation.T, 0), depth, mask, camera, lights
 
 
