@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lightstage.kernels import items
 from lightstage.kernels.errors import KernelError
 from lightstage.kernels.normals import near_light, self_consistent
 from lightstage.kernels.normals.near_light import Lights, LightVectors, invert, measure
@@ -56,7 +57,7 @@ def test_a_rig_driven_from_measured_positions_has_its_weights_from_there() -> No
         for k, (place, vector) in enumerate(zip(places, ideal, strict=True))
     ]
     measured, layout = (
-        Lights.of(Lights.part_of({"drive": drive, "lights": rows}), near=True) for drive in ("measured", "ideal")
+        Lights.of(items.lights_of({"drive": drive, "lights": rows}), near=True) for drive in ("measured", "ideal")
     )
     unit = places / np.linalg.norm(places, axis=1, keepdims=True)
     np.testing.assert_allclose(measured.drive, unit, atol=1e-12)
