@@ -5,7 +5,7 @@ from importlib import import_module
 
 import pytest
 
-from lightstage.dag.stage import Params, Stage
+from lightstage.dag.stage import Params, Stage, function
 from lightstage.stages import TABLE
 
 
@@ -20,7 +20,7 @@ def test_the_kernels_signature_is_inputs_and_what_is_prepared_and_parameters(sta
     if stage.is_source:
         return
     assert stage.kernel is not None
-    names = list(inspect.signature(stage.kernel).parameters)
+    names = list(inspect.signature(function(stage.kernel)).parameters)
     required = [*stage.inputs, *stage.prepared]
     assert names[: len(stage.inputs)] == list(stage.inputs)
     assert set(required) <= set(names)
@@ -28,7 +28,8 @@ def test_the_kernels_signature_is_inputs_and_what_is_prepared_and_parameters(sta
 
 
 def test_every_parameter_reaches_something_and_says_what_it_is(stage: Stage) -> None:
-    source = inspect.getsource(inspect.getmodule(stage.arrange))  # type: ignore[arg-type]
+    modules = [inspect.getmodule(stage.arrange), *map(import_module, stage.modules)]
+    source = "".join(inspect.getsource(module) for module in modules if module is not None)
     for name, field in stage.params.model_fields.items():
         assert field.description, name
         assert not field.is_required(), f"{name} has no default"
