@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from lightstage.cli.run import pipeline_path, versions
 from lightstage.cli.show import RunWatcher, Screen
 from lightstage.formats.whole_file import write_whole
+from lightstage.stages.calibration import MEASURED
 from lightstage.store.errors import LightstageError, RequestError, WorkError
 from lightstage.store.files import human_size
 from lightstage.store.root import Store
@@ -23,13 +24,11 @@ _MOVED_PX, _MOVED_MM = 0.1, 10.0
 """What a camera or a light may move between two calibrations before somebody should look: a homography must be good
 to a tenth of a pixel, and 10 mm is twice the play of a light in its mount."""
 
-ITEMS = ("lights", "camera", "homography", "dark", "flat", "bands", "synchronisation", "polarisers")
-
 
 def configure(commands: Any) -> None:
     """Add the commands of this file."""
     measure = commands.add_parser("calibrate", help="measure a calibration item from pictures of a target")
-    measure.add_argument("item", choices=ITEMS, metavar="ITEM", help=", ".join(ITEMS))
+    measure.add_argument("item", choices=MEASURED, metavar="ITEM", help=", ".join(MEASURED))
     measure.add_argument(
         "--from", nargs="+", type=Path, required=True, metavar="FOLDER", dest="folders", help="capture folders"
     )
@@ -59,6 +58,7 @@ def handle_calibrate(options: argparse.Namespace, screen: Screen) -> int:
     from lightstage.cli.calibration_report import write_report
     from lightstage.cli.run import override_items
     from lightstage.cli.sessions import import_folder
+    from lightstage.dag.stage import Finding, evaluate
     from lightstage.store.capture import read_captures
     from lightstage.store.sessions import read_session, remove_session, restore_session, session_names
 
@@ -80,11 +80,10 @@ def handle_calibrate(options: argparse.Namespace, screen: Screen) -> int:
         raise
     result = read_result(plan, path)
     stage = plan.nodes[options.item].node.stage
-    verdict = [] if stage.verdict is None else stage.verdict(result)
+    verdict = [] if stage.verdict is None else [Finding(*pair) for pair in evaluate(stage.verdict, result)]
     item, written = None, None
     if stage.item is not None:
-        content = stage.item(result)
-        item, folder = keep_item(content, session, store)
+        item, folder = keep_item(evaluate(stage.item, result), session, store)
         verdict += changes_since(item, session.shape, store)
         screen.say(f"{item.name}: `lightstage calibration use {item.name} --session S` binds it")
         if options.out is not None:

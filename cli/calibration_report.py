@@ -37,7 +37,7 @@ def write_report(
         WorkError: it cannot be written.
     """
     session = plan.session
-    figures = _FIGURES[item](plan, result, store)
+    figures = _FIGURES[item](plan, result, store) if item in _FIGURES else []
     rows = _TABLES[item](result) if item in _TABLES else ((), [])
     parts = [
         "<!doctype html><html lang='en'><head><meta charset='utf-8'>",
@@ -104,7 +104,7 @@ def _axes(width: float = 9.0, height: float = 6.0, columns: int = 1) -> tuple[An
 def _lights(plan: "Plan", result: "Result", store: Store) -> _Drawn:
     import numpy as np
 
-    from lightstage.stages.calibration.lights import STATUS
+    from lightstage.kernels.targets.labels import LIGHT_STATUS
 
     names = list(result.labels["light"])
     illumination = list(plan.session.facts["illumination"])
@@ -121,7 +121,7 @@ def _lights(plan: "Plan", result: "Result", store: Store) -> _Drawn:
         at, status = result.arrays["at_px"][part], result.arrays["status"][part]
         for k, name in enumerate(names):
             if np.isfinite(at[k]).all():
-                colour = "lime" if STATUS[status[k]] == "seen" else "orange"
+                colour = "lime" if LIGHT_STATUS[status[k]] == "seen" else "orange"
                 ax.plot(*at[k], "+", color=colour, ms=7)
                 ax.annotate(name, at[k], color=colour, fontsize=6, xytext=(3, 3), textcoords="offset points")
         low, high = ring.min(axis=0) - 15, ring.max(axis=0) + 15

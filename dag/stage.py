@@ -16,6 +16,7 @@ index; every other dimension is whole within a task. How a block maps to its inp
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
+from inspect import signature
 from typing import Any, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict
@@ -230,3 +231,9 @@ def function(name: str) -> Callable[..., Any]:
     module, _, attribute = name.partition(":")
     found: Callable[..., Any] = getattr(import_module(module), attribute)
     return found
+
+
+def evaluate(name: str, result: Result) -> Any:
+    """What a named function says of a result: it gets those fields of the result that it names."""
+    judge = function(name)
+    return judge(**{field: getattr(result, field) for field in signature(judge).parameters})

@@ -116,7 +116,9 @@ def bands(shot: Shot, folder: Path, *, checker: bool = False, level: float = 0.8
     pitch, gap = 20.0, 1.5
 
     def texture_of(band: int, reflectance: float) -> Callable[[Array, Array], Array]:
-        known = color_checker.REFLECTANCE[:, color_checker.BANDS_NM.index(band)] if checker else np.zeros(24)
+        known = (
+            np.array(color_checker.REFLECTANCE)[:, color_checker.BANDS_NM.index(band)] if checker else np.zeros(24)
+        )
 
         def texture(u: Array, v: Array) -> Array:
             top = 8.0 if checker else -35.0

@@ -40,6 +40,8 @@ that a stage calls; they count in its key.
 
 from collections.abc import Mapping
 
+from lightstage.stages.calibration import MEASURED, STEPS
+
 TABLE: Mapping[str, str] = {
     "capture": "lightstage.stages.capture",
     "register": "lightstage.stages.register",
@@ -53,20 +55,5 @@ TABLE: Mapping[str, str] = {
     "stimulus": "lightstage.stages.stimulus",
     "chromophores": "lightstage.stages.chromophores",
     "gloss": "lightstage.stages.gloss",
-    **{
-        name: f"lightstage.stages.calibration.{name}"
-        for name in (
-            "outline",
-            "highlights",
-            "lights",
-            "corners",
-            "camera",
-            "homography",
-            "dark",
-            "flat",
-            "bands",
-            "synchronisation",
-            "polarisers",
-        )
-    },
+    **{name: f"lightstage.stages.calibration.{name}" for name in (*STEPS, *MEASURED)},
 }

@@ -24,10 +24,10 @@ from numpy.typing import NDArray
 from scipy.linalg import rq
 
 from lightstage.kernels.errors import KernelError
+from lightstage.kernels.targets.labels import CAMERA_PARAMETERS
 
 Array = NDArray[np.float64]
 
-NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 PRIOR = {"fy": 0.002, "cx": 0.02, "cy": 0.02, "k1": 0.1, "k2": 0.3, "p1": 0.003, "p2": 0.003, "k3": 1.0}
 """One sigma of what is known without boards: aspect 1 +- 0.2 %, principal point in the middle +- 2 % of the width
 (a mounted lens), a lens without much distortion."""
@@ -83,7 +83,9 @@ def fit_camera(corners: Sequence[Array], *, square_mm: float, shape: tuple[int, 
         )
     squared = (residual**2).sum(-1)
     prior = _priors(matrix[0, 0], shape)
-    fixed = tuple(name for name, told in zip(NAMES[1:], prior, strict=True) if deviation[name] > _TOLD * told)
+    fixed = tuple(
+        name for name, told in zip(CAMERA_PARAMETERS[1:], prior, strict=True) if deviation[name] > _TOLD * told
+    )
     sentence = (
         f"f = {matrix[0, 0]:.1f} +- {deviation['fx']:.1f} px from {len(corners)} picture(s), "
         f"{np.sqrt(squared.mean()):.3f} px root mean square"
@@ -175,7 +177,7 @@ def _calibrate(corners: Sequence[Array], square_mm: float, shape: tuple[int, int
     scale = np.eye(9)
     scale[0, 0] = matrix[0, 0]
     scale[1, :2] = matrix[1, 1]
-    deviation = dict(zip(NAMES, np.sqrt(np.diag(scale @ spread @ scale.T)).tolist(), strict=True))
+    deviation = dict(zip(CAMERA_PARAMETERS, np.sqrt(np.diag(scale @ spread @ scale.T)).tolist(), strict=True))
     rotations = np.stack([cv2.Rodrigues(pose[:3])[0] for pose in poses])
     residual = residual.reshape(len(poses), rows, columns, 2)
     return matrix, distortion, deviation, rotations, np.stack([pose[3:] for pose in poses]), residual
@@ -220,7 +222,7 @@ def _equations(
 def _priors(f: float, shape: tuple[int, int]) -> Array:
     """Prior deviation of fy, cx, cy (pixels), k1, k2, p1, p2, k3."""
     scale = {"fy": f, "cx": shape[1], "cy": shape[1]}
-    return np.array([PRIOR[name] * scale.get(name, 1.0) for name in NAMES[1:]])
+    return np.array([PRIOR[name] * scale.get(name, 1.0) for name in CAMERA_PARAMETERS[1:]])
 
 
 def _held(fixed: Sequence[str]) -> str:

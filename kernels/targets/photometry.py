@@ -7,12 +7,22 @@ but it is not linear in the light: a leak of 2 % then reads 0.4 % too low. So su
 sums of one-light sums exactly, neighbours in aperture or ring included, and `synchronisation` separates them.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from lightstage.kernels.errors import KernelError
 
 Array = NDArray[np.float64]
+
+
+class Aperture(NamedTuple):
+    """What a highlight is summed over, and how noisy the sensor is there."""
+
+    radius_px: float
+    electrons_per_count: float
+    read_noise_counts: float
 
 
 def highlight_sums(

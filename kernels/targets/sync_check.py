@@ -187,7 +187,7 @@ def align(found: Sequence[str], declared: Sequence[str]) -> tuple[NDArray[np.int
             if (
                 i > 1
                 and j > 1
-                and found[i - 2 : i] == (declared[j - 1], declared[j - 2])
+                and tuple(found[i - 2 : i]) == (declared[j - 1], declared[j - 2])
                 and found[i - 2] != found[i - 1]
             ):
                 options.append((cost[i - 2, j - 2] + _SWAP, "swap"))

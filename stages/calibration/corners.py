@@ -1,64 +1,20 @@
 """corners: the inner corners of a checkerboard, a picture at a time.
 
-The kernel is in `board_corners.py` (finding) and `corner_fit.py` (measuring). Corners are told in pixels of the
-picture with its mount undone, in an order that does not mirror the board.
+Corners are told in pixels of the picture with its mount undone, in an order that does not mirror the board.
 
-Must have run before: capture. Source: those of the two modules.
+Must have run before: capture. Source: those of `kernels/targets/board_corners.py` (finding) and `corner_fit.py`
+(measuring).
 """
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from lightstage.dag.stage import Arrangement, Grid, Group, Input, Items, Output, Params, Stage
-from lightstage.kernels.targets.board_corners import find_corners, undo_mount
-from lightstage.stages.calibration.session import need_target
+from lightstage.stages.calibration.session import mount_of, need_target
 
 
 class CornersParams(Params):
     """`corners` has no parameters."""
-
-
-def corners(
-    raw: Sequence[NDArray[np.uint16]],
-    *,
-    inner_corners: Sequence[int],
-    white_level: int,
-    camera: str,
-    rotate: int,
-    mirror: bool,
-) -> Mapping[str, NDArray[Any]]:
-    """Corners of one board.
-
-    Args:
-        raw: the picture's bands, (y, x) counts, sensor orientation; their mean is measured.
-        inner_corners: (columns, rows).
-        white_level: the count at which the sensor saturates.
-        camera: its name, for errors.
-        rotate, mirror: the mount, to be undone.
-
-    Returns:
-        `points` (row, column, xy) pixels, `covariance` (row, column, 2, 2) as (row, column, value), `blur_px`
-        (row, column), `first_is_black` ().
-
-    Raises:
-        StageError: no board, one that is cut or covered, or another one.
-    """
-    picture = raw[0] if len(raw) == 1 else np.mean([np.asarray(r, np.float64) for r in raw], axis=0)
-    found = find_corners(
-        undo_mount(picture, rotate=rotate, mirror=mirror),
-        inner_corners=(inner_corners[0], inner_corners[1]),
-        white_level=white_level,
-        camera=camera,
-    )
-    return {
-        "points": found.points,
-        "covariance": found.covariance.reshape(*found.covariance.shape[:2], 4),
-        "blur_px": found.blur_px,
-        "first_is_black": np.array(found.first_is_black),
-    }
 
 
 def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: CornersParams) -> Arrangement:
@@ -67,7 +23,7 @@ def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: CornersPar
     columns, rows = target["inner_corners"]
     frames, cameras = raw.sizes["frame"], raw.sizes["polarisation"]
     groups = tuple(
-        Group({"raw": [{"frame": i, "band": b, "polarisation": p} for b in range(raw.sizes["band"])]})
+        Group({"raw": {nm: {"frame": i, "band": b, "polarisation": p} for b, nm in enumerate(raw.along("band"))}})
         for i in range(frames)
         for p in range(cameras)
     )
@@ -80,7 +36,7 @@ def _context(
     labels: Mapping[str, Any], facts: Mapping[str, Any], items: Items, params: CornersParams
 ) -> Mapping[str, Any]:
     camera = facts["cameras"][labels["polarisation"]]
-    mount = facts["mount"].get(camera, {"rotate": 0, "mirror": False})
+    mount = mount_of(facts, camera)
     return {
         "inner_corners": facts["target"]["inner_corners"],
         "white_level": facts["white_level"],
@@ -115,5 +71,5 @@ STAGE = Stage(
     arrange=_arrange,
     context=_context,
     prepared=("inner_corners", "white_level", "camera", "rotate", "mirror"),
-    kernel=corners,
+    kernel="lightstage.kernels.targets.corners:corners",
 )

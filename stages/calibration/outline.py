@@ -1,23 +1,41 @@
 """outline: the outline of a mirror ball, from the picture with all lights on.
 
-The kernel is in `ball_outline.py`, the fit in `ball_conic.py`. One block for each place of the ball. Without a
-picture under all lights (C) a mask, or points picked by hand, must say where the ball is; then the mean over all
-one-light pictures tells the edge.
+One block for each place of the ball. Without a picture under all lights (C) a mask, or points picked by hand, must
+say where the ball is; then the mean over all one-light pictures tells the edge.
 
-Must have run before: capture. Sources: those of the two modules.
+Must have run before: capture. Sources: those of `kernels/targets/ball_outline.py` (search) and `ball_conic.py`
+(fit).
 """
 
 from collections.abc import Mapping, Sequence
+from math import isfinite
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from lightstage.dag.stage import Arrangement, Grid, Group, Input, Items, Needs, Output, Params, Stage, StageError
-from lightstage.kernels.targets.ball_conic import outline_of_points
-from lightstage.kernels.targets.ball_outline import find_outline
-from lightstage.stages.calibration.session import frames_of, intrinsics, need_target, parts, reference
+from lightstage.dag.stage import (
+    Arrangement,
+    Grid,
+    Group,
+    Input,
+    Items,
+    Name,
+    Needs,
+    Output,
+    Params,
+    Stage,
+    StageError,
+)
+from lightstage.hw.illuminations import CONSTANT
+from lightstage.kernels.targets.labels import OUTLINE_POINTS
+from lightstage.stages.calibration.session import (
+    frames_of,
+    intrinsics,
+    need_target,
+    parts,
+    reference,
+    single_lights,
+)
 
 
 class OutlineParams(Params):
@@ -28,46 +46,8 @@ class OutlineParams(Params):
     )
 
 
-def outline(
-    raw: Sequence[NDArray[np.uint16]],
-    *,
-    camera: Mapping[str, Any] | None,
-    mask: NDArray[np.bool_] | None,
-    by_hand: NDArray[np.float64] | None,
-) -> Mapping[str, NDArray[Any]]:
-    """The outline at one place of the ball.
-
-    Args:
-        raw: (y, x) counts: the pictures under all lights, or all under one each.
-        camera: K and distortion; None takes the camera as orthographic.
-        mask: (y, x), where the ball is.
-        by_hand: (point, xy) on the outline, pixels.
-
-    Returns:
-        `conic` (row, column), `ring` (point, xy) as in the picture, `centre_px` (xy), `radius_px`, `rms_px` ().
-
-    Raises:
-        StageError: no ball, two balls, or a ball cut by the frame.
-    """
-    lens: dict[str, Any] = {
-        "intrinsics": None if camera is None else np.asarray(camera["K"], float),
-        "distortion": None if camera is None else np.asarray(camera["distortion"], float),
-    }
-    if by_hand is not None:
-        found = outline_of_points(by_hand, **lens, frame=raw[0].shape)
-    else:
-        found = find_outline(np.mean([np.asarray(r, np.float32) for r in raw], axis=0), mask=mask, **lens)
-    return {
-        "conic": found.conic,
-        "ring": found.ring_px,
-        "centre_px": found.centre_px,
-        "radius_px": np.array(found.radius_px),
-        "rms_px": np.array(found.rms_px),
-    }
-
-
-def picked(text: str) -> NDArray[np.float64] | None:
-    """Points `x,y x,y ...` as (point, xy); None for no text.
+def picked(text: str) -> list[list[float]] | None:
+    """Points `x,y x,y ...`, (point, xy); None for no text.
 
     Raises:
         StageError: it is not of that form.
@@ -75,8 +55,8 @@ def picked(text: str) -> NDArray[np.float64] | None:
     if not text.strip():
         return None
     try:
-        points = np.array([[float(v) for v in pair.split(",")] for pair in text.split()])
-        if points.ndim != 2 or points.shape[1] != 2:
+        points = [[float(value) for value in pair.split(",")] for pair in text.split()]
+        if not all(len(point) == 2 and all(map(isfinite, point)) for point in points):
             raise ValueError
     except ValueError:
         raise StageError(f"points: '{text[:40]}' is not x,y x,y ... (six points or more around the ball)") from None
@@ -89,22 +69,24 @@ def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: OutlinePar
     camera = reference(raw)
     part = parts(facts, raw.sizes["frame"])
     places = sorted(set(part))
-    all_on, single = frames_of(raw, "C"), frames_of(raw, "L")
-    points = picked(params.points)
     groups = []
     for place in places:
-        chosen = [i for i in all_on if part[i] == place]
+        chosen = [i for i in frames_of(raw, CONSTANT) if part[i] == place]
         if not chosen:
-            if facts["mask"] is None and points is None:
+            if facts["mask"] is None and picked(params.points) is None:
                 raise StageError(
                     "the picture with all lights on (illumination C) is missing"
                     + (f" at place {place} of the ball" if len(places) > 1 else "")
                     + "; add it, or a mask of the ball, or give points on its outline (--outline)"
                 )
-            chosen = [i for i in single if part[i] == place]
-        pieces = [{"frame": i, "band": b, "polarisation": camera} for i in chosen for b in range(raw.sizes["band"])]
-        groups.append(Group({"raw": pieces}))
-    sizes = {"part": len(places), "row": 3, "column": 3, "point": 720, "xy": 2}
+            chosen = [i for i in single_lights(raw) if part[i] == place]
+        pictures: dict[Name, dict[str, int]] = {
+            (i, nm): {"frame": i, "band": b, "polarisation": camera}
+            for i in chosen
+            for b, nm in enumerate(raw.along("band"))
+        }
+        groups.append(Group({"raw": pictures}))
+    sizes = {"part": len(places), "row": 3, "column": 3, "point": OUTLINE_POINTS, "xy": 2}
     return Arrangement(Grid(sizes, {"part": (("part",), places)}), tuple(groups))
 
 
@@ -114,15 +96,7 @@ def _context(
     camera = intrinsics(items, facts["shape"])
     if camera is not None:
         camera.pop("world_to_camera")
-    return {"camera": camera, "mask": facts["mask"]}
-
-
-def _prepare(*, camera: Mapping[str, Any] | None, mask: Any, points: str) -> Mapping[str, Any]:
-    return {
-        "camera": camera,
-        "mask": None if mask is None else np.asarray(mask.load()) > 0,
-        "by_hand": picked(points),
-    }
+    return {"camera": camera, "mask": facts["mask"], "by_hand": picked(params.points)}
 
 
 STAGE = Stage(
@@ -142,7 +116,7 @@ STAGE = Stage(
     blocks=("part",),
     arrange=_arrange,
     context=_context,
-    prepare=_prepare,
-    prepared=("camera", "mask", "by_hand"),
-    kernel=outline,
+    prepare="lightstage.kernels.targets.outline:prepare",
+    prepared=("lens", "mask", "by_hand"),
+    kernel="lightstage.kernels.targets.outline:outline",
 )

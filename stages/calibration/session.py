@@ -3,13 +3,8 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from lightstage.dag.stage import Grid, StageError
-
-SCALE = 16
-"""Stored value = counts x this: a mean of frames has fractions."""
+from lightstage.dag.stage import Grid, Items, StageError
+from lightstage.hw.illuminations import is_light, light_number
 
 
 def reference(raw: Grid) -> int:
@@ -18,15 +13,48 @@ def reference(raw: Grid) -> int:
     return polarisations.index("cross") if "cross" in polarisations else 0
 
 
+def reference_camera(facts: Mapping[str, Any]) -> str:
+    """The name of the reference camera."""
+    cameras: Mapping[str, str] = facts["cameras"]
+    return cameras.get("cross") or next(iter(cameras.values()))
+
+
+def mount_of(facts: Mapping[str, Any], camera: str) -> Mapping[str, Any]:
+    """How a camera is mounted: rotate and mirror."""
+    mount: Mapping[str, Any] = facts["mount"].get(camera, {"rotate": 0, "mirror": False})
+    return mount
+
+
+def upright_shape(facts: Mapping[str, Any], camera: str) -> tuple[int, int]:
+    """(rows, columns) of a camera's pictures, mount undone."""
+    rows, columns = facts["shape"]
+    turned = mount_of(facts, camera)["rotate"] in (90, 270)
+    return (columns, rows) if turned else (rows, columns)
+
+
 def parts(facts: Mapping[str, Any], frames: int) -> list[int]:
     """Per frame, the place of the target (0 when it was not moved)."""
     return list(facts.get("part", [0] * frames))
 
 
-def frames_of(raw: Grid, wanted: str) -> list[int]:
-    """Indices of the frames under an illumination; `L` means every single light."""
-    names = list(raw.along("illumination"))
-    return [i for i, name in enumerate(names) if name == wanted or (wanted == "L" and name.startswith("L"))]
+def exposures_s(facts: Mapping[str, Any], frames: int) -> list[float | None]:
+    """Per frame, how long it was exposed; None where the capture does not say."""
+    return list(facts.get("exposure_s", [None] * frames))
+
+
+def frames_of(raw: Grid, illumination: str) -> list[int]:
+    """Indices of the frames under an illumination."""
+    return [i for i, name in enumerate(raw.along("illumination")) if name == illumination]
+
+
+def single_lights(raw: Grid) -> list[int]:
+    """Indices of the frames under one light each."""
+    return [i for i, name in enumerate(raw.along("illumination")) if is_light(name)]
+
+
+def light_numbers(names: Sequence[str]) -> list[int]:
+    """The numbers of the single lights among illuminations, each once, in order."""
+    return sorted({light_number(name) for name in names if is_light(name)})
 
 
 def need_target(facts: Mapping[str, Any], kind: str, why: str) -> Mapping[str, Any]:
@@ -35,19 +63,14 @@ def need_target(facts: Mapping[str, Any], kind: str, why: str) -> Mapping[str, A
     Raises:
         StageError: it is not of the kind.
     """
-    target = facts["target"] or {}
+    target: Mapping[str, Any] = facts["target"] or {}
     if target.get("kind") != kind:
         shown = f"shows {target['kind']}" if target else "names no target"
         raise StageError(f"{why} needs a capture with target: {{kind: {kind}, ...}}; this one {shown}")
     return target
 
 
-def light_numbers(names: Sequence[str]) -> list[int]:
-    """The numbers of the single lights among illuminations, each once, in order."""
-    return sorted({int(name[1:]) for name in names if name.startswith("L")})
-
-
-def intrinsics(items: Mapping[str, Mapping[str, Any]], shape: Sequence[int]) -> dict[str, Any] | None:
+def intrinsics(items: Items, shape: Sequence[int]) -> dict[str, Any] | None:
     """The part of the camera item that geometry reads, or None when there is none.
 
     Raises:
@@ -59,14 +82,11 @@ def intrinsics(items: Mapping[str, Mapping[str, Any]], shape: Sequence[int]) -> 
     width, height = camera["size_px"]
     if (height, width) != tuple(shape):
         raise StageError(f"the camera item is for {width} x {height}; the pictures are {shape[1]} x {shape[0]}")
-    return {name: camera[name] for name in ("K", "distortion", "world_to_camera")}
+    return {name: camera[name] for name in ("size_px", "K", "distortion", "world_to_camera")}
 
 
-def listed(mask: NDArray[np.bool_]) -> list[list[int]]:
-    """(x, y) of a mask's pixels."""
-    return [[int(x), int(y)] for y, x in np.argwhere(mask)]
-
-
-def stored(counts: NDArray[Any]) -> NDArray[np.uint16]:
-    """Counts as an item's picture holds them."""
-    return np.clip(np.round(counts * SCALE), 0, 65535).astype(np.uint16)
+def stored_picture(items: Items, kind: str, camera: str) -> dict[str, Any] | None:
+    """What a dark or flat item has of a camera, and in which steps; None when it has nothing."""
+    if kind not in items or camera not in items[kind]["pictures"]:
+        return None
+    return {"picture": items[kind]["pictures"][camera], "scale": items[kind]["scale"]}

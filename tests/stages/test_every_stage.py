@@ -32,8 +32,8 @@ def test_the_kernels_signature_is_inputs_and_what_is_prepared_and_parameters(sta
 
 
 def test_every_parameter_reaches_something_and_says_what_it_is(stage: Stage) -> None:
-    modules = [stage.arrange, *(function(name) for name in (stage.kernel, stage.prepare) if name is not None)]
-    source = "".join(inspect.getsource(inspect.getmodule(part)) for part in modules)  # type: ignore[arg-type]
+    modules = [inspect.getmodule(stage.arrange), *map(import_module, stage.modules)]
+    source = "".join(inspect.getsource(module) for module in modules if module is not None)
     for name, field in stage.params.model_fields.items():
         assert field.description, name
         assert not field.is_required(), f"{name} has no default"
