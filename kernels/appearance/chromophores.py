@@ -60,40 +60,40 @@ def chromophores(
         )
     oxygen = logs is None and bands >= OXYGEN_BANDS
     names = [*MAPS, *(OXYGEN_MAPS if oxygen else ())]
-    made = {name: np.full(height * width, np.nan, np.float32) for name in names}
+    maps = {name: np.full(height * width, np.nan, np.float32) for name in names}
     # in float64: the residual is a small difference of logarithms
     value, noise = (np.asarray(a, np.float64).reshape(bands, -1) for a in (reflectance, standard_error))
     with np.errstate(invalid="ignore"):
         usable = np.isfinite(value) & np.isfinite(noise) & (value > np.maximum(_DARKEST * noise, 0))
     places = np.flatnonzero(usable.sum(axis=0) >= 3)
     for start in range(0, len(places), _AT_ONCE):
-        here = places[start : start + _AT_ONCE]
-        seen = usable[:, here].T
-        rho = np.where(seen, value[:, here].T, 1.0)
-        variance = np.where(seen, (noise[:, here].T / rho) ** 2, 0.0)
+        pixels = places[start : start + _AT_ONCE]
+        seen = usable[:, pixels].T
+        rho = np.where(seen, value[:, pixels].T, 1.0)
+        variance = np.where(seen, (noise[:, pixels].T / rho) ** 2, 0.0)
         weight = np.where(seen, 1 / (variance + model_error**2), 0.0)
         if logs is None:
-            found, design = _beer_lambert(-np.log(rho), weight, spectra)
-            fit = found @ spectra.T
+            solved, design = _beer_lambert(-np.log(rho), weight, spectra)
+            fit = solved @ spectra.T
         else:
-            found, design, fit = _kubelka_munk(-np.log(rho), weight, spectra[:, 0], logs)
+            solved, design, fit = _kubelka_munk(-np.log(rho), weight, spectra[:, 0], logs)
         error = _noise_errors(design, weight, variance)
         off = np.where(seen, -np.log(rho) - fit, 0.0)
-        made["residual"][here] = np.sqrt((off**2).sum(axis=1) / seen.sum(axis=1))
+        maps["residual"][pixels] = np.sqrt((off**2).sum(axis=1) / seen.sum(axis=1))
         for i, name in enumerate(("melanin", "haemoglobin", "baseline")):
-            made[name][here] = found[:, i]
+            maps[name][pixels] = solved[:, i]
         for i, name in enumerate(("melanin_standard_error", "haemoglobin_standard_error")):
-            made[name][here] = error[:, i]
+            maps[name][pixels] = error[:, i]
         if oxygen:
             enough = seen.sum(axis=1) >= OXYGEN_BANDS
             share, share_error = _oxygenation(-np.log(rho), weight, passing)
-            made["oxygenation_standard_error"][here[enough]] = share_error[enough]
-            told = enough & (share_error <= oxygenation_error)
-            made["oxygenation"][here[told]] = share[told]
+            maps["oxygenation_standard_error"][pixels[enough]] = share_error[enough]
+            certain = enough & (share_error <= oxygenation_error)
+            maps["oxygenation"][pixels[certain]] = share[certain]
     whole = places[usable[:, places].all(axis=0)]
     return {
-        **{name: made[name].reshape(height, width) for name in names},
-        "stats": _stats(made, spectra, oxygen),
+        **{name: maps[name].reshape(height, width) for name in names},
+        "stats": _stats(maps, spectra, oxygen),
         "warnings": _doubts(value[:, whole], passing, saturation, vessel_radius_um),
     }
 

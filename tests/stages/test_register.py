@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from lightstage.dag.stage import StageError
-from lightstage.kernels.pictures.resampling import STEP, reorient, undone_shape, warp
-from lightstage.stages.register import _prepare, register
+from lightstage.kernels.encodings import SIGNAL_STEP
+from lightstage.kernels.errors import KernelError
+from lightstage.kernels.pictures.registration import prepare, register
+from lightstage.kernels.pictures.resampling import reorient, undone_shape, warp
 
 PLAIN = {"rotate": 0, "mirror": False}
 
@@ -22,6 +23,11 @@ def item(pictures: dict[str, NDArray[Any]], **more: Any) -> dict[str, Any]:
     return {"pictures": {name: Picture(p) for name, p in pictures.items()}, "scale": 1.0, **more}
 
 
+def maps(matrix: Any) -> dict[str, Any]:
+    """What a homography item says, from the other camera to the reference."""
+    return {"from": "CAM0", "matrix": np.asarray(matrix, float).tolist()}
+
+
 def prepared(shape: tuple[int, int], **change: Any) -> dict[str, Any]:
     context: dict[str, Any] = {
         "cameras": ["CAM0", "CAM1"],
@@ -31,10 +37,10 @@ def prepared(shape: tuple[int, int], **change: Any) -> dict[str, Any]:
         "white_level": 1023,
         "dark": None,
         "flat": None,
-        "homography": np.eye(3).tolist(),
+        "homography": maps(np.eye(3)),
         "flat_smoothing_percent": 2.0,
     }
-    return dict(_prepare(**{**context, **change}))
+    return dict(prepare(**{**context, **change}))
 
 
 def texture(y: NDArray[Any], x: NDArray[Any]) -> NDArray[Any]:
@@ -83,7 +89,7 @@ def test_one_resampling_of_mount_and_homography_finds_the_truth() -> None:
     ready = prepared(
         (rows, columns),
         mounts={"CAM0": {"rotate": 180, "mirror": True}, "CAM1": PLAIN},
-        homography=h.tolist(),
+        homography=maps(h),
         white_level=65535,
     )
     out = register(raw, **ready)
@@ -99,7 +105,7 @@ def test_one_resampling_of_mount_and_homography_finds_the_truth() -> None:
 def test_a_saturated_pixel_spoils_what_is_interpolated_from_it_and_no_more() -> None:
     raw = np.full((2, 20, 20), 100, np.uint16)
     raw[0, 10, 10] = 1023
-    ready = prepared((20, 20), homography=[[1, 0, 0.5], [0, 1, 0], [0, 0, 1]])
+    ready = prepared((20, 20), homography=maps([[1, 0, 0.5], [0, 1, 0], [0, 0, 1]]))
     out = register(raw, **ready)
     inside = np.s_[3:17, 3:17]
     bad = np.argwhere(np.isnan(out["signal"][0][inside])) + 3
@@ -133,11 +139,14 @@ def test_identity_keeps_values_to_the_bit() -> None:
             {"dark": item({"CAM0": np.zeros((5, 8)), "CAM1": np.zeros((6, 8))})},
             "the dark of CAM0 is 8 x 5; the pictures are 8 x 6",
         ),
-        ({"homography": [[1, 0, 900], [0, 1, 0], [0, 0, 1]]}, "the homography puts CAM0 out of view: it covers 0%"),
+        (
+            {"homography": maps([[1, 0, 900], [0, 1, 0], [0, 0, 1]])},
+            "the homography puts CAM0 out of view: it covers 0%",
+        ),
     ],
 )
 def test_bad_calibration_is_a_named_error(change: dict[str, Any], message: str) -> None:
-    with pytest.raises(StageError, match=message):
+    with pytest.raises(KernelError, match=message):
         prepared((6, 8), **change)
 
 
@@ -162,7 +171,7 @@ def test_runs_of_neighbours_equal_pixel_by_pixel(turn: float) -> None:
                 ix, iy = int(sx), int(sy)
                 window = image[iy - 1 : iy + 3, ix - 1 : ix + 3]
                 value = np.array(weights(sy - iy)) @ window @ np.array(weights(sx - ix))
-                assert found[y, x] == pytest.approx(value, abs=STEP)
+                assert found[y, x] == pytest.approx(value, abs=SIGNAL_STEP)
             else:
                 assert np.isnan(found[y, x])
 

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from lightstage.dag.stage import Grid, StageError
+from lightstage.kernels.pictures.components import split
+from lightstage.kernels.pictures.radiance import stack
 from lightstage.stages.split import STAGE as SPLIT
-from lightstage.stages.split import components, split
+from lightstage.stages.split import components
 from lightstage.stages.stack import STAGE as STACK
-from lightstage.stages.stack import stack
 
 NAN = np.nan
 
@@ -46,9 +47,9 @@ def test_what_cannot_be_made_is_said() -> None:
 
 def test_stack_scales_and_averages_what_is_valid() -> None:
     pictures = [np.array([[[2.0, 4.0, NAN]]], np.float32), np.array([[[4.0, NAN, NAN]]], np.float32)]
-    out = stack(pictures, counts_per_radiance=2.0)["radiance"]
+    out = stack(dict(enumerate(pictures)), counts_per_radiance=2.0)["radiance"]
     np.testing.assert_array_equal(out, np.array([[[1.5, 2.0, NAN]]], np.float32))
-    np.testing.assert_array_equal(stack(pictures[:1], counts_per_radiance=2.0)["radiance"][0, 0], [1, 2, NAN])
+    np.testing.assert_array_equal(stack({0: pictures[0]}, counts_per_radiance=2.0)["radiance"][0, 0], [1, 2, NAN])
 
 
 def grid_of(illumination: list[str], bands: list[float]) -> Grid:
@@ -68,7 +69,7 @@ def test_a_static_capture_is_by_illumination_and_a_performance_by_frame() -> Non
     static = STACK.arrange([grid], {"frame_rate_hz": None}, STACK.params())
     assert static.grid.sizes["illumination"] == 2
     assert list(static.grid.along("illumination")) == ["C", "X"]
-    assert static.groups[1].reads["signal"] == [{"frame": 0, "band": 1}, {"frame": 2, "band": 1}]
+    assert static.groups[1].reads["signal"] == {0: {"frame": 0, "band": 1}, 2: {"frame": 2, "band": 1}}
     moving = STACK.arrange([grid], {"frame_rate_hz": 60.0}, STACK.params())
     assert moving.grid.sizes["frame"] == 3
     assert moving.dims == {"illumination|frame": "frame"}
