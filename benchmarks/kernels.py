@@ -20,8 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightstage.hw.illuminations import GRADIENTS
+from lightstage.kernels.encodings import NORMAL_FILL, NORMAL_STEPS
 from lightstage.kernels.normals.gradient_methods import table
-from lightstage.kernels.normals.spherical_gradients import FILL, STEPS, Normals, solve
+from lightstage.kernels.normals.spherical_gradients import Normals, solve
 
 SHAPE = (1236, 1624)
 THESIS_SECONDS = 1.78 * 3600
@@ -40,7 +41,7 @@ def naive(p: dict[str, Array]) -> tuple[Array, ...]:
         normal, norm = g / length, length / (2 * total)
     valid = (length > 0) & (total > 0)
     return (
-        np.where(valid, np.floor(normal * STEPS + 0.5), FILL).astype(np.int16),
+        np.where(valid, np.floor(normal * NORMAL_STEPS + 0.5), NORMAL_FILL).astype(np.int16),
         total.astype("f4"),
         norm.astype("f4"),
         valid,
@@ -59,10 +60,10 @@ def blocked(p: dict[str, Array], rows: int = 16) -> tuple[Array, ...]:
         length = np.sqrt(square)
         t = sum(strip.values()) / np.float32(3)
         with np.errstate(divide="ignore", invalid="ignore"):
-            scaled = np.floor(g * (np.float32(STEPS) / length) + np.float32(0.5))
+            scaled = np.floor(g * (np.float32(NORMAL_STEPS) / length) + np.float32(0.5))
             norm[cut] = length / (2 * t)
         valid[cut] = (square > 0) & (t > 0)
-        normal[:, cut] = np.where(valid[cut], scaled, FILL).astype(np.int16)
+        normal[:, cut] = np.where(valid[cut], scaled, NORMAL_FILL).astype(np.int16)
         total[cut] = t
     return normal, total, norm, valid
 
@@ -74,7 +75,7 @@ def with_opencv(p: dict[str, Array]) -> tuple[Array, ...]:
     for component in g[1:]:
         square = cv2.add(square, cv2.multiply(component, component))
     length = cv2.sqrt(square)
-    scale = cv2.divide(float(STEPS), length)
+    scale = cv2.divide(float(NORMAL_STEPS), length)
     normal = np.stack([cv2.multiply(component, scale, dtype=cv2.CV_16S) for component in g])
     total = cv2.add(p["X"], p["Xc"], dtype=cv2.CV_32F)
     for name in ("Y", "Yc", "Z", "Zc"):

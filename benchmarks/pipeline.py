@@ -96,16 +96,20 @@ def plain_loop(raw: Path, items: dict[str, Any], facts: dict[str, Any], target: 
     import zarr
     from zarr.codecs import BloscCodec
 
+    from lightstage.kernels.normals.methods import normals
+    from lightstage.kernels.pictures.components import split
     from lightstage.kernels.pictures.picture_sets import choose, chosen_sets, windows
-    from lightstage.stages import normals, register, split, stack
+    from lightstage.kernels.pictures.radiance import stack
+    from lightstage.kernels.pictures.registration import prepare, register
+    from lightstage.stages.register import STAGE
 
     cv2.setNumThreads(1)
     zarr.config.set({"async.concurrency": 1, "threading.max_workers": threads})
     pictures = zarr.open_group(raw, mode="r")["raw"]
     frames, _, cameras, height, width = pictures.shape
-    ready = register._prepare(
-        **register._context({}, facts, items, register.RegisterParams()), flat_smoothing_percent=2.0
-    )
+    params = STAGE.params()
+    assert STAGE.context is not None
+    ready = prepare(**STAGE.context({}, facts, items, params), **params.model_dump())
     group = zarr.create_group(target)
 
     def array(name: str, shape: tuple[int, ...], chunk: tuple[int, ...], dtype: str, fill: Any) -> Any:
@@ -125,19 +129,16 @@ def plain_loop(raw: Path, items: dict[str, Any], facts: dict[str, Any], target: 
     found = array("found", (len(sets), 1, *image), (1, 1, *image), "bool", False)
 
     def frame(i: int) -> None:
-        done = register.register(pictures[i, 0], **ready)
+        done = register(pictures[i, 0], **ready)
         outs["register"][i, 0], valid[i, 0] = done["signal"], done["valid"]
-        parts = split.split(done["signal"], polarisations=("parallel", "cross"))["signal"]
+        parts = split(done["signal"], polarisations=("parallel", "cross"))["signal"]
         outs["split"][i, 0] = parts
-        outs["stack"][i, 0] = stack.stack([parts], counts_per_radiance=130.0)["radiance"]
+        outs["stack"][i, 0] = stack({i: parts}, counts_per_radiance=130.0)["radiance"]
 
     def tracking(k: int) -> None:
         (_, place), chosen = sets[k]
-        names = list(chosen.pictures)
-        radiance = [outs["stack"][place[name], 0, 0] for name in names]
-        made = normals.normals(
-            radiance, choice=choice, names=names, diffuse_constant=False, lights=None, view=None, correct="none"
-        )
+        radiance = {(0.0, name): outs["stack"][place[name], 0, 0] for name in chosen.pictures}
+        made = normals(radiance, {}, choice=choice, lights=None, view=None)
         normal[k, 0], found[k, 0] = made["normal"], made["valid"]
         others["albedo"][k, 0], others["norm"][k, 0] = made["albedo"], made["norm"]
 

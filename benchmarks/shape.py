@@ -21,9 +21,10 @@ from numpy.typing import NDArray
 
 from benchmarks.accuracy import DATA, DOCS, Bench
 from benchmarks.pages import put
+from lightstage.kernels.encodings import EDGE_BELOW, EDGE_RIGHT
 from lightstage.kernels.surface.integration import integrate
 from lightstage.kernels.surface.pinhole import Pinhole
-from lightstage.stages.shape import BELOW, RIGHT, breaks
+from lightstage.kernels.surface.shape import breaks
 from lightstage.store.document import load
 
 matplotlib.use("Agg")
@@ -142,8 +143,8 @@ def broken(bench: Bench) -> list[str]:
 def beside(edge: Array) -> Array:
     """(y, x): pixels on either side of a break."""
     out = edge > 0
-    out[:, 1:] |= (edge[:, :-1] & RIGHT) > 0
-    out[1:] |= (edge[:-1] & BELOW) > 0
+    out[:, 1:] |= (edge[:, :-1] & EDGE_RIGHT) > 0
+    out[1:] |= (edge[:-1] & EDGE_BELOW) > 0
     return out
 
 

@@ -17,7 +17,8 @@ from benchmarks.accuracy import DATA, DOCS, Bench, partial_correlation
 from benchmarks.pages import write_tables
 from lightstage.kernels.appearance import absorption, skin_layers
 from lightstage.kernels.appearance import colour as of_bands
-from lightstage.stages.chromophores import ChromophoresParams, chromophores, predicted
+from lightstage.kernels.appearance.chromophores import chromophores, predicted
+from lightstage.stages.chromophores import ChromophoresParams
 from lightstage.store.document import load
 
 Array = NDArray[Any]
@@ -158,7 +159,8 @@ def fitted(rho: Array, params: ChromophoresParams) -> tuple[float, Array]:
     value = rho.astype(np.float32)[:, None, None]
     made = chromophores(value, np.zeros_like(value), passing=passing(), **settings)
     found = np.array([made[name][0] for name in ("melanin", "haemoglobin", "baseline")], float)
-    fit = predicted(*found, passing=passing(), params=params)[0]
+    of_model = {name: settings[name] for name in ("model", "saturation", "vessel_radius_um")}
+    fit = predicted(*found, passing=passing(), **of_model)[0]
     return float(np.sqrt(np.mean((fit - rho) ** 2))), found[:, 0]
 
 

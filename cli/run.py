@@ -242,13 +242,6 @@ def _tell(
     screen.table(("node", "computed", "reused", "seconds", "size"), rows, right=(1, 2, 3, 4))
     for node in answer["nodes"].values():
         for key, value in node["attrs"].items():
-            if key == "distance_found":
-                if value < 1:
-                    screen.warn(
-                        f"{node['name']}: the norm does not tell the distance in every tracking frame; the stage's "
-                        "centre was taken there, so check the lights and camera items"
-                    )
-                continue
             if key == "warnings":
                 for sentence in value[:_MOST_WARNINGS]:
                     screen.warn(f"{node['name']}: {sentence}")

@@ -250,8 +250,8 @@ def _picked(skin: Skin, known: "NDArray[np.bool_]") -> dict[str, tuple[int, int]
 def _spectrum(skin: Skin, name: str, at: tuple[int, int] | None, where: "NDArray[np.bool_]") -> Point:
     import numpy as np
 
+    from lightstage.kernels.appearance.chromophores import chromophores, predicted
     from lightstage.kernels.appearance.skin_layers import likeness
-    from lightstage.stages.chromophores import chromophores, predicted
 
     rho, error = (
         np.median(picture[:, where], axis=1, keepdims=True)[..., None]
@@ -261,7 +261,11 @@ def _spectrum(skin: Skin, name: str, at: tuple[int, int] | None, where: "NDArray
     made = chromophores(rho, error, passing=skin.passing, **settings)
     pigments = {name: float(made[name][0, 0]) for name in PIGMENTS}
     fit = predicted(
-        *(np.array([pigments[name]]) for name in PIGMENTS[:3]), passing=skin.passing, params=skin.params
+        *(np.array([pigments[name]]) for name in PIGMENTS[:3]),
+        passing=skin.passing,
+        model=skin.params.model,
+        saturation=skin.params.saturation,
+        vessel_radius_um=skin.params.vessel_radius_um,
     )[0]
     spectrum, noise = (values[:, 0, 0].astype(np.float64) for values in (rho, error))
     found = likeness(

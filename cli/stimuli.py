@@ -292,7 +292,8 @@ def _morphed(
     """Pictures between two subjects: one property goes from A to B, the other stays A's."""
     import numpy as np
 
-    from lightstage.kernels.appearance.shading import parse_lights, shade
+    from lightstage.kernels.appearance.distant_lights import parse_lights
+    from lightstage.kernels.appearance.shading import shade
     from lightstage.kernels.faces.face_flow import between, mixed_normals, pulled
 
     by_name = {subject.name: subject for subject in subjects}
@@ -497,7 +498,8 @@ def _preview(
     import numpy as np
 
     from lightstage.kernels.appearance.colour import encode_srgb
-    from lightstage.kernels.appearance.shading import DistantLight, shade
+    from lightstage.kernels.appearance.distant_lights import DistantLight
+    from lightstage.kernels.appearance.shading import shade
 
     if options.to is not None and options.to.exists() and not options.to.is_dir():
         raise RequestError(f"--to {options.to}: is a file; name a folder")

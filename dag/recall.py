@@ -21,7 +21,7 @@ from lightstage.store.digest import SHORT, digest_bytes, digest_value
 from lightstage.store.results import ResultName, set_current
 from lightstage.store.root import Store
 
-_SAID = ("method", "engine", "note", "cannot_be_made", "distance_mm", "distance_found", "warnings")
+_SAID = ("method", "engine", "note", "cannot_be_made", "distance_mm", "warnings")
 """What of a result's attributes a run tells."""
 
 

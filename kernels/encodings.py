@@ -6,6 +6,8 @@ NORMAL_FILL = -32768
 """Stored where there is no normal; reads as NaN."""
 VISIBILITY_STEPS = 255
 """A light that is seen whole, as it is stored."""
+EDGE_RIGHT, EDGE_BELOW = 1, 2
+"""Bits of `edge`: the surface is broken towards the neighbour to the right, below."""
 SIGNAL_STEP = 1 / 256
 """Counts are rounded to this. A pixel's noise is a count and more, so its variance grows by less than 2e-6; the
 digits beyond would be random, and cost half as much again to store and to write."""

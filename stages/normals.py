@@ -23,7 +23,19 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from lightstage.dag.stage import Arrangement, Grid, Group, Input, Items, Needs, Output, Params, Stage, StageError
+from lightstage.dag.stage import (
+    Arrangement,
+    Grid,
+    Group,
+    Input,
+    Items,
+    Name,
+    Needs,
+    Output,
+    Params,
+    Stage,
+    StageError,
+)
 from lightstage.kernels.encodings import NORMAL_FILL, NORMAL_STEPS, VISIBILITY_STEPS
 from lightstage.kernels.items import lens_of, lights_of, lights_placed
 from lightstage.kernels.pictures.picture_sets import Choice, Window, choose, chosen_sets
@@ -191,12 +203,12 @@ def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: NormalsPar
         for b in [list(range(len(bands)))] if fused or modelled else [[b] for b in range(len(bands))]:
             extra = component == "specular" and "C" in place
             seen = components.index(component)
-            pictures = {
+            pictures: dict[Name, dict[str, int]] = {
                 (bands[i], name): {**place[name], "band": i, "component": seen}
                 for i in b
                 for name in choice.pictures
             }
-            diffuse = {
+            diffuse: dict[Name, dict[str, int]] = {
                 bands[i]: {**place["C"], "band": i, "component": components.index("diffuse")} for i in b if extra
             }
             told = {

@@ -24,25 +24,11 @@ radiosity; Horn (1974), doi:10.1016/0146-664X(74)90022-7, for smooth shading.
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
-import cv2
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from lightstage.dag.stage import Arrangement, Grid, Group, Input, Items, Needs, Output, Params, Stage, StageError
-from lightstage.kernels.pictures.noise import noise_model
-from lightstage.kernels.pictures.subject_mask import find_subject
-from lightstage.kernels.surface.interreflection import Tiles
-from lightstage.kernels.surface.pinhole import Pinhole
-
-Image = NDArray[np.float32]
-_DARK = 0.1
-"""Of the open irradiance: where less arrives the quotient is the error of S."""
-_SMOOTH = 1 / 4
-"""Of the picture's width: sigma of what `smooth` takes for shading. A smaller one takes more shading and, on a
-rendered head, still more of the skin."""
-_BRIGHT = 99.5
-"""Percentile that is 1 when the scale is relative."""
+from lightstage.hw.illuminations import CONSTANT, pairs
+from lightstage.kernels.items import lens_of
 
 
 class ReflectanceParams(Params):
@@ -58,128 +44,6 @@ class ReflectanceParams(Params):
     )
 
 
-def reflectance(
-    radiance: Sequence[Image],
-    irradiance: Sequence[Image],
-    normal: Sequence[Image],
-    depth_mm: Sequence[Image],
-    *,
-    names: Sequence[str],
-    shading: str,
-    white: float | None,
-    camera: Pinhole | None,
-    bounced: str,
-) -> Mapping[str, Any]:
-    """Reflectance of one tracking frame.
-
-    Args:
-        radiance: per band the pictures of `names`, (y, x), diffuse component; NaN where not valid.
-        irradiance: none, or one (y, x): S.
-        normal: none, or one (xyz, y, x), world. depth_mm: none, or one (y, x), camera z.
-        names: illuminations: C, or gradients with their complements, or both.
-        shading: geometry, smooth or none.
-        white: radiance of a white surface at the stage's centre that faces the camera under constant light; None
-            where it is not known.
-        camera: what bounced light needs; None where it is not to be taken out.
-        bounced: see ReflectanceParams.
-
-    Returns:
-        `reflectance` and `standard_error` (band, y, x), `shading` (y, x): what was divided out, relative to
-        `white`, the mean over bands. NaN where not valid.
-    """
-    count = len(names)
-    bands = len(radiance) // count
-    pictures = [{name: radiance[b * count + i] for i, name in enumerate(names)} for b in range(bands)]
-    constant, variance = (np.stack(parts) for parts in zip(*map(_constant, pictures), strict=True))
-    if shading == "geometry":
-        arrives = _arrives(constant, irradiance[0], normal, depth_mm, camera if bounced == "removed" else None)
-        level = white or float(np.nanmedian(irradiance[0]))
-    else:
-        level = white or 1.0
-        arrives = np.full(constant.shape, np.float32(level))
-        if shading == "smooth":
-            arrives *= _smooth(constant)
-    arrives = np.where(arrives > _DARK * level, arrives, np.float32(np.nan))
-    albedo, error = constant / arrives, np.sqrt(variance) / arrives
-    if white is None:
-        known = albedo[np.isfinite(albedo)]
-        brightest = np.float32(np.percentile(known, _BRIGHT)) if known.size else np.float32(1)
-        albedo, error = albedo / brightest, error / brightest
-    return {
-        "reflectance": albedo.astype(np.float32),
-        "standard_error": error.astype(np.float32),
-        "shading": (arrives.mean(axis=0) / np.float32(level)).astype(np.float32),
-        "stats": {"standard_error": float(np.nanmean(error)) if np.isfinite(error).any() else float("nan")},
-    }
-
-
-def _constant(pictures: Mapping[str, Image]) -> tuple[Image, Image]:
-    """r_c of one band (y, x) and its variance: C and each pair that adds up to it, weighted by their noise."""
-    alpha, beta = noise_model(pictures)
-    estimates = [(pictures["C"], 1)] if "C" in pictures else []
-    estimates += [(pictures[a] + pictures[a + "c"], 2) for a in "XYZ" if a in pictures and a + "c" in pictures]
-    total = np.zeros(estimates[0][0].shape)
-    weights = np.zeros(total.shape)
-    known = np.isfinite(estimates[0][0])
-    for estimate, _ in estimates[1:]:
-        known |= np.isfinite(estimate)
-    # one level for all weights, smoothed, so that a pixel's own noise does not choose its weight
-    first = np.where(np.isfinite(estimates[0][0]), estimates[0][0], 0).astype(np.float64)
-    shot = beta * np.maximum(cv2.GaussianBlur(first, (0, 0), 1.0), 0)
-    for estimate, count in estimates:
-        seen = np.isfinite(estimate)
-        weight = np.where(seen, 1 / np.maximum(count * alpha + shot, 1e-20), 0)
-        total += weight * np.where(seen, estimate, 0)
-        weights += weight
-    weights = np.where(known, weights, np.nan)
-    return np.asarray(total / weights, np.float32), np.asarray(1 / weights, np.float32)
-
-
-def _arrives(
-    constant: Image, direct: Image, normal: Sequence[Image], depth_mm: Sequence[Image], camera: Pinhole | None
-) -> Image:
-    """S + B_b, (band, y, x)."""
-    if camera is None or not len(normal) or not len(depth_mm):
-        return np.broadcast_to(direct, constant.shape)
-    turned, depth = np.moveaxis(normal[0], 0, 2).astype(np.float64), depth_mm[0].astype(np.float64)
-    mask = np.isfinite(depth) & np.isfinite(turned).all(axis=2) & np.isfinite(direct)
-    if not mask.any():
-        return np.broadcast_to(direct, constant.shape)
-    tiles = Tiles(camera.points(depth), turned, depth, mask, camera)
-    light = np.zeros((*direct.shape, 4))
-    light[..., 3] = np.where(mask, direct, 0)
-    more = [tiles.bounced(light, np.nan_to_num(picture).astype(np.float64))[..., 3] for picture in constant]
-    return np.asarray(direct + np.stack(more), np.float32)
-
-
-def _smooth(constant: Image) -> Image:
-    """Low frequencies of constant light, (y, x): the mean over bands of the logarithm, 1 in the median."""
-    middle = constant.mean(axis=0)
-    subject = find_subject(np.nan_to_num(middle)) & np.isfinite(middle) & (constant > 0).all(axis=0)
-    if not subject.any():
-        return np.ones(middle.shape, np.float32)
-    log = np.where(subject, np.log(np.where(subject, constant, 1).astype(np.float64)).mean(axis=0), 0)
-    sigma = _SMOOTH * constant.shape[2]
-    part = cv2.GaussianBlur(subject.astype(np.float64), (0, 0), sigma)
-    low = cv2.GaussianBlur(log, (0, 0), sigma) / np.maximum(part, 1e-6)
-    return np.where(subject, np.exp(low - np.median(low[subject])), np.float32(np.nan)).astype(np.float32)
-
-
-def white_radiance(item: Mapping[str, Any]) -> float:
-    """Radiance of a white surface at the stage's centre that faces the camera, all lights on.
-
-    1 is one light at full power at the lights' mean distance, straight ahead (docs/formats.md).
-    """
-    places = [np.asarray(x["position_mm"] or x["direction"], float) for x in item["lights"]]
-    near = all(light["position_mm"] is not None for light in item["lights"])
-    usual = float(np.mean([np.linalg.norm(place) for place in places]))
-    total = 0.0
-    for light, place in zip(item["lights"], places, strict=True):
-        length = float(np.linalg.norm(place))
-        total += light["power"] * max(place[2] / length, 0.0) * ((usual / length) ** 2 if near else 1.0)
-    return total
-
-
 def _context(
     labels: Mapping[str, Any], facts: Mapping[str, Any], items: Items, params: ReflectanceParams
 ) -> Mapping[str, Any]:
@@ -189,29 +53,12 @@ def _context(
         lights = {"lights": [{k: light[k] for k in fields} for light in items["lights"]["lights"]]}
     camera = None
     if labels["shading"] == "geometry" and labels["absolute"] and "camera" in items:
-        camera = {name: items["camera"][name] for name in ("size_px", "K", "distortion", "world_to_camera")}
+        camera = lens_of(items["camera"])
     return {
-        "names": labels["names"],
         "shading": labels["shading"],
         "shape": labels["shape"],
         "lights": lights,
         "camera": camera,
-    }
-
-
-def _prepare(
-    *,
-    names: Sequence[str],
-    shading: str,
-    shape: Sequence[int],
-    lights: Mapping[str, Any] | None,
-    camera: Mapping[str, Any] | None,
-) -> Mapping[str, Any]:
-    return {
-        "names": tuple(names),
-        "shading": shading,
-        "white": None if lights is None else white_radiance(lights),
-        "camera": None if camera is None else Pinhole.of(camera, (int(shape[0]), int(shape[1]))),
     }
 
 
@@ -229,8 +76,8 @@ def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: Reflectanc
     members = list(aligned.along("illumination"))
     where = {frame: t for t, frame in enumerate(aligned.along("tracking"))}
     # parallel light alone is half of the diffuse light and all of the specular, in parts that nobody knows
-    told = list(facts["polarisation"]) != ["parallel"]
-    absolute = "bands" in facts["items"] and bool(facts["light_ids"]) and told
+    comparable = list(facts["polarisation"]) != ["parallel"]
+    absolute = comparable and "bands" in facts["items"] and "lights" in facts["items"]
     bands = list(aligned.along("band"))
     height, width = aligned.sizes["y"], aligned.sizes["x"]
     still = facts["frame_rate_hz"] is None
@@ -243,20 +90,25 @@ def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: Reflectanc
             raise StageError(
                 "reflectance needs constant light: C, or a gradient and its complement; the session has " + have
             )
-        one = {"tracking": k}
+        surface_at = {"tracking": k}
         groups.append(
             Group(
                 {
-                    "radiance": [
-                        {"tracking": t, "member": m, "band": b, "component": components.index(component)}
-                        for b in range(len(bands))
-                        for m in names.values()
-                    ],
-                    "irradiance": [one],
-                    "depth_mm": [one],
-                    "normal": [{**one, "band": 0}],
+                    "radiance": {
+                        (band, name): {
+                            "tracking": t,
+                            "member": m,
+                            "band": b,
+                            "component": components.index(component),
+                        }
+                        for b, band in enumerate(bands)
+                        for name, m in names.items()
+                    },
+                    "irradiance": {frame: surface_at},
+                    "depth_mm": {frame: surface_at},
+                    "normal": {frame: {**surface_at, "band": 0}},
                 },
-                {"names": list(names), "shading": shading, "absolute": absolute, "shape": [height, width]},
+                {"shading": shading, "absolute": absolute, "shape": [height, width]},
             )
         )
     sizes = {"tracking": len(groups), "band": len(bands), "y": height, "x": width}
@@ -275,11 +127,11 @@ def _used(names: Sequence[str], frames: Sequence[int], tracking: int, still: boo
 
     Of a moving subject the tracking frame alone: what is a little misaligned would blur it.
     """
-    own = {name: m for m, name in enumerate(names) if name and (name != "C" or frames[m] == tracking)}
-    if not still and "C" in own:
-        return {"C": own["C"]}
-    paired = {n for a in "XYZ" if a in own and a + "c" in own for n in (a, a + "c")}
-    return {name: m for name, m in own.items() if name == "C" or name in paired}
+    own = {name: m for m, name in enumerate(names) if name and (name != CONSTANT or frames[m] == tracking)}
+    if not still and CONSTANT in own:
+        return {CONSTANT: own[CONSTANT]}
+    paired = {name for pair in pairs(own) for name in pair}
+    return {name: m for name, m in own.items() if name == CONSTANT or name in paired}
 
 
 STAGE = Stage(
@@ -315,7 +167,7 @@ STAGE = Stage(
     blocks=("tracking",),
     arrange=_arrange,
     context=_context,
-    prepare=_prepare,
-    prepared=("names", "shading", "white", "camera"),
-    kernel=reflectance,
+    prepare="lightstage.kernels.appearance.reflectance:prepare",
+    prepared=("shading", "white", "camera"),
+    kernel="lightstage.kernels.appearance.reflectance:reflectance",
 )

@@ -22,17 +22,12 @@ Source: Dutta (2010), section on stimuli for a psychology experiment; Jones et a
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
 from lightstage.dag.stage import Arrangement, Grid, Group, Input, Items, Needs, Output, Params, Stage, StageError
-from lightstage.kernels.appearance.colour import linear_srgb_matrix, xyz_matrix
-from lightstage.kernels.appearance.shading import cast_shadows as shadows_of
-from lightstage.kernels.appearance.shading import parse_lights, shade
-from lightstage.kernels.surface.pinhole import Pinhole
+from lightstage.kernels.appearance.distant_lights import parse_lights
+from lightstage.kernels.items import lens_of
 
-Image = NDArray[np.float32]
 KINDS = ("shape", "texture", "both")
 
 
@@ -59,48 +54,6 @@ class StimulusParams(Params):
         return text
 
 
-def stimulus(
-    normal: Sequence[Image],
-    depth_mm: Sequence[Image],
-    reflectance: Sequence[Image],
-    shading: Sequence[Image],
-    *,
-    matrix: Sequence[Sequence[float]],
-    camera: Pinhole | None,
-    lights: str,
-    cast_shadows: bool,
-    texture: str,
-) -> Mapping[str, Any]:
-    """The three pictures of one tracking frame.
-
-    Args:
-        normal: one (xyz, y, x), unit vectors in the world frame, NaN where not valid.
-        depth_mm: none, or one (y, x), camera z; only cast shadows read it.
-        reflectance: one (band, y, x), 0 to 1.
-        shading: one (y, x): what was divided out of the reflectance.
-        matrix: (rgb, band), to linear sRGB, or (1, band), to luminance.
-        camera: of the depth; None without cast shadows.
-        lights, cast_shadows, texture: see StimulusParams.
-
-    Returns:
-        `image` (kind, rgb, y, x) float32, linear light, in the order of KINDS; NaN where normal or reflectance is
-        not valid. `stats`: the part of shape that is in shadow.
-    """
-    places = parse_lights(lights)
-    seen = None
-    if cast_shadows:
-        assert camera is not None
-        seen = shadows_of(depth_mm[0], camera, places)
-    shape = shade(normal[0], places, seen)
-    skin = reflectance[0] * shading[0] if texture == "constant" else reflectance[0]
-    painted = np.einsum("cb,byx->cyx", np.asarray(matrix, np.float32), skin)
-    valid = np.isfinite(shape) & np.isfinite(painted).all(axis=0)
-    image = np.stack([np.broadcast_to(shape, painted.shape), painted, shape * painted])
-    image = np.where(valid, image, np.float32(np.nan)).astype(np.float32)
-    dark = float(np.mean(shape[valid] <= 0)) if valid.any() else 1.0
-    return {"image": image, "stats": {"shape_in_shadow": dark}}
-
-
 def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: StimulusParams) -> Arrangement:
     relief, painted = grids
     if params.cast_shadows and "depth_mm" not in relief.arrays:
@@ -117,10 +70,10 @@ def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: StimulusPa
     groups = tuple(
         Group(
             {
-                "normal": [{"tracking": where[frame], "band": 0}],
-                "depth_mm": [{"tracking": where[frame]}],
-                "reflectance": [{"tracking": k}],
-                "shading": [{"tracking": k}],
+                "normal": {frame: {"tracking": where[frame], "band": 0}},
+                "depth_mm": {frame: {"tracking": where[frame]}},
+                "reflectance": {frame: {"tracking": k}},
+                "shading": {frame: {"tracking": k}},
             },
             {"bands_nm": bands, "shape": [height, width]},
         )
@@ -154,7 +107,7 @@ def _context(
     if params.cast_shadows:
         if "camera" not in items:
             raise StageError("cast_shadows needs the camera item: bind one with `lightstage calibration use FILE`")
-        camera = {name: items["camera"][name] for name in ("size_px", "K", "distortion", "world_to_camera")}
+        camera = lens_of(items["camera"])
     known = items["bands"]["bands"] if "bands" in items else []
     width = {float(band["centre_nm"]): band.get("width_nm") for band in known}
     return {
@@ -165,23 +118,6 @@ def _context(
         "shape": labels["shape"],
         "camera": camera,
     }
-
-
-def _prepare(
-    *,
-    bands_nm: Sequence[float],
-    widths_nm: Sequence[float | None],
-    illuminant: str,
-    colour: str,
-    shape: Sequence[int],
-    camera: Mapping[str, Any] | None,
-) -> Mapping[str, Any]:
-    if colour == "colour":
-        matrix = linear_srgb_matrix(bands_nm, widths_nm, illuminant=illuminant)
-    else:
-        matrix = xyz_matrix(bands_nm, widths_nm, illuminant=illuminant)[1:2]
-    lens = None if camera is None else Pinhole.of(camera, (int(shape[0]), int(shape[1])))
-    return {"matrix": matrix.tolist(), "camera": lens}
 
 
 STAGE = Stage(
@@ -212,7 +148,7 @@ STAGE = Stage(
     blocks=("tracking",),
     arrange=_arrange,
     context=_context,
-    prepare=_prepare,
+    prepare="lightstage.kernels.appearance.stimulus:prepare",
     prepared=("matrix", "camera"),
-    kernel=stimulus,
+    kernel="lightstage.kernels.appearance.stimulus:stimulus",
 )

@@ -21,24 +21,11 @@ Source: Wilson et al. (2010), ACM TOG 29(2); Dutta (2010) 5.1.1 and 5.2.1.
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from lightstage.dag.stage import Arrangement, Grid, Group, Input, Items, Output, Params, Stage, StageError
+from lightstage.dag.stage import Arrangement, Grid, Group, Input, Items, Name, Output, Params, Stage, StageError
 from lightstage.kernels.encodings import NORMAL_FILL, NORMAL_STEPS
-from lightstage.kernels.motion.flow_warp import Interpolation, unit
-from lightstage.kernels.motion.in_between import Side, blend, carry, nearness
-from lightstage.kernels.motion.joint_flow import subject_of
-from lightstage.kernels.normals.rig_normals import quantised
 from lightstage.kernels.pictures.picture_sets import picture_times
-
-Image = NDArray[np.float32]
-
-
-_MINIMAL = 2
-"""Gradient pictures between two tracking frames of the minimal sequence, whose printed weights are the wrong way
-round; Wilson's has three."""
 
 
 class UpsampleParams(Params):
@@ -49,56 +36,6 @@ class UpsampleParams(Params):
     )
     inverse: Literal["proper", "negated"] = Field("proper", description="negated: W(n, -f), for comparison")
     interpolation: Literal["linear", "cubic", "spline"] = Field("cubic", description="of the normals, as vectors")
-
-
-def upsample(
-    normal: Sequence[Image],
-    albedo: Sequence[Image],
-    flow: Sequence[Image],
-    confidence: Sequence[Image],
-    *,
-    away: Sequence[float],
-    between: int | None = None,
-    weights: str,
-    inverse: str,
-    interpolation: Interpolation,
-) -> Mapping[str, Any]:
-    """Normals at one picture.
-
-    Args:
-        normal: per tracking frame, (band, xyz, y, x) unit vectors, NaN where not valid.
-        albedo: per tracking frame, (band, y, x): the dark around the subject has no normals, only noise.
-        flow: per tracking frame, (xy, y, x), pixels, from its grid to the picture.
-        confidence: of each flow, (y, x), 0 to 1.
-        away: time from the picture to each tracking frame, in any unit; 0 if the picture is it.
-        between: pictures between the two tracking frames, for the weights that the thesis prints.
-        weights, inverse, interpolation: see UpsampleParams.
-
-    Returns:
-        `normal` (xyz, y, x) int16 of unit vectors, bands as one; `confidence` (y, x) float32, 0 to 1.
-    """
-    sides = []
-    for n, f, c, a in zip(normal, flow, confidence, albedo, strict=True):
-        # NaN in a band is no vote
-        whole = unit(np.nansum(n, axis=0)) if len(n) > 1 else n[0]
-        whole = np.where(subject_of(np.nansum(a, axis=0)), whole, np.float32(np.nan))
-        if len(away) == 1 and away[0] == 0:
-            known = np.isfinite(whole[0])
-            return _result(Side(whole, np.where(known, c, np.float32(0))))
-        sides.append(carry(whole, f, c, interpolation=interpolation, negated=inverse == "negated"))
-    shares = nearness(0.0, away)
-    if weights == "equal":
-        shares = np.full(len(away), 1 / len(away))
-    elif weights == "printed" and between == _MINIMAL:
-        shares = shares[::-1]
-    return _result(blend(sides, [float(share) for share in shares]))
-
-
-def _result(side: Side) -> Mapping[str, Any]:
-    return {
-        "normal": quantised(np.moveaxis(side.normal, 0, 2)),
-        "confidence": np.asarray(side.confidence, np.float32),
-    }
 
 
 def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: UpsampleParams) -> Arrangement:
@@ -115,8 +52,8 @@ def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: UpsamplePa
             continue
         for m, picture in enumerate(members):
             if picture >= 0 and (performance or picture == frame):
-                here = when[frame] - when[picture]
-                sides.setdefault(picture, []).append((here, tracking.index(frame), a, m))
+                away = when[frame] - when[picture]
+                sides.setdefault(picture, []).append((away, tracking.index(frame), a, m))
     frames = sorted(sides)
     groups = []
     for picture in frames:
@@ -124,12 +61,12 @@ def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: UpsamplePa
         before = sorted((s for s in sides[picture] if s[0] < 0), reverse=True)[:1]
         after = sorted(s for s in sides[picture] if s[0] > 0)[:1]
         chosen = own or before + after
-        tracked = [{"tracking": n} for _, n, _, _ in chosen]
-        flows = [{"tracking": a, "member": m} for _, _, a, m in chosen]
+        tracked: dict[Name, dict[str, int]] = {away: {"tracking": n} for away, n, _, _ in chosen}
+        flows: dict[Name, dict[str, int]] = {away: {"tracking": a, "member": m} for away, _, a, m in chosen}
         groups.append(
             Group(
                 {"normal": tracked, "albedo": tracked, "flow": flows, "confidence": flows},
-                {"away": [side[0] for side in chosen], "between": _between([tracking[side[1]] for side in chosen])},
+                {"between": _between([tracking[side[1]] for side in chosen])},
             )
         )
     sizes = {"frame": len(frames), "xyz": 3, "y": normals.sizes["y"], "x": normals.sizes["x"]}
@@ -154,7 +91,7 @@ def _context(
 ) -> Mapping[str, Any]:
     # the other weights do not depend on it, and what is in the context is in the key
     printed = params.weights == "printed"
-    return {"away": labels["away"], "between": labels["between"] if printed else None}
+    return {"between": labels["between"] if printed else None}
 
 
 STAGE = Stage(
@@ -180,6 +117,7 @@ STAGE = Stage(
     blocks=("frame",),
     arrange=_arrange,
     context=_context,
-    prepared=("away", "between"),
-    kernel=upsample,
+    prepared=("between",),
+    kernel="lightstage.kernels.motion.upsampling:upsample",
+    tells={"method": "method: {}"},
 )

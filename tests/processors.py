@@ -17,14 +17,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lightstage.kernels.pictures.resampling import STEP
+from lightstage.kernels.encodings import SIGNAL_STEP
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 Arrays = dict[str, NDArray[Any]]
 
 DEGREES, RELATIVE = 1e-4, 1e-5
 """By how much normals, and all else, may differ before they are rounded for storage."""
-IN_STEPS = {"register/signal": STEP}
+IN_STEPS = {"register/signal": SIGNAL_STEP}
 """Floats that are multiples of something, by NODE/ARRAY."""
 SESSIONS: Mapping[str, Sequence[str]] = {"head": (), "performer": ("--sequence", "wilson", "--tracking", "2")}
 """What the virtual rig captures, and how: a still head, and the shortest performance with two full windows."""

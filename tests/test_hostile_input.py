@@ -20,8 +20,9 @@ import yaml
 
 from lightstage.cli.face_points import read_points
 from lightstage.cli.main import main
-from lightstage.dag.stage import CalibrationPicture, StageError
+from lightstage.dag.stage import CalibrationPicture
 from lightstage.hw.sequence import period
+from lightstage.kernels.errors import KernelError
 from lightstage.store import document
 from lightstage.store.calibration import KINDS
 from lightstage.store.capture import CaptureFile
@@ -307,12 +308,11 @@ def test_a_dark_that_is_bright_is_refused(ground: Ground, tmp_path: Path, lights
 
 
 def test_a_dark_that_leaves_no_room_for_light_is_refused() -> None:
-    from lightstage.stages.register import STAGE
+    from lightstage.kernels.pictures.registration import prepare
 
     def prepared(level: int) -> object:
         picture = CalibrationPicture("", lambda: np.full((4, 4), level, np.uint16))
-        assert STAGE.prepare is not None
-        return STAGE.prepare(
+        return prepare(
             cameras=["CAM1"],
             reference="CAM1",
             mounts={"CAM1": {"rotate": 0, "mirror": False}},
@@ -326,7 +326,7 @@ def test_a_dark_that_leaves_no_room_for_light_is_refused() -> None:
 
     prepared(640)
     with pytest.raises(
-        StageError, match="the dark of CAM1 is at 1000 of 1023 counts, so it leaves no room for light"
+        KernelError, match="the dark of CAM1 is at 1000 of 1023 counts, so it leaves no room for light"
     ):
         prepared(10_000)
 

@@ -167,7 +167,7 @@ def test_a_full_disk_does_not_stop_the_work(kept: Path, monkeypatch: pytest.Monk
 
 
 def test_an_edit_of_an_imported_module_compiles_anew(monkeypatch: pytest.MonkeyPatch) -> None:
-    import kernels.motion.joint_flow  # noqa: F401  which compiles constants of kernels.motion.block_grid into its functions
+    import lightstage.kernels.motion.joint_flow  # noqa: F401  which compiles constants of block_grid into its functions
 
     before = compiled._source("lightstage.kernels.motion.joint_flow")
     text = compiled._text
@@ -175,12 +175,14 @@ def test_an_edit_of_an_imported_module_compiles_anew(monkeypatch: pytest.MonkeyP
         compiled, "_text", lambda name: text(name) + b"#" * (name == "lightstage.kernels.motion.block_grid")
     )
     assert compiled._source("lightstage.kernels.motion.joint_flow") != before
-    monkeypatch.setattr(compiled, "_text", lambda name: text(name) + b"#" * (name == "lightstage.stages.gloss"))
+    monkeypatch.setattr(
+        compiled, "_text", lambda name: text(name) + b"#" * (name == "lightstage.kernels.appearance.gloss")
+    )
     assert compiled._source("lightstage.kernels.motion.joint_flow") == before
 
 
 def test_numba_asks_for_our_functions_and_not_for_others() -> None:
-    from lightstage.stages.stack import _rounded
+    from lightstage.kernels.pictures.radiance import _rounded
 
     assert isinstance(_rounded._cache._cache_file, compiled.Code)
     assert compiled.Place.from_function(contents, __file__) is None

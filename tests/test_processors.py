@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from lightstage.kernels.pictures.resampling import STEP
+from lightstage.kernels.encodings import SIGNAL_STEP
 from tests.processors import CHOSEN_BY, IN_STEPS, SESSIONS, SETTINGS, apart, environment, results
 from tests.whole_pipeline import nodes
 
@@ -82,8 +82,8 @@ def test_the_measure_tells_steps_and_last_bits_from_more() -> None:
     assert not apart("a/b", whole, near)[0].any()
     assert apart("a/b", whole, far)[0].tolist() == [True, True, False, False]
     assert apart("a/b", whole, np.nan_to_num(whole))[0].tolist() == [False, False, True, False]
-    counts = np.array([3.0, 3.0 + STEP])
-    assert apart("register/signal", counts, counts + np.array([0, 2 * STEP]))[1].tolist() == [0, 2]
+    counts = np.array([3.0, 3.0 + SIGNAL_STEP])
+    assert apart("register/signal", counts, counts + np.array([0, 2 * SIGNAL_STEP]))[1].tolist() == [0, 2]
     normal = np.array([[0.0, 0, 1], [np.nan] * 3])
     turned = np.array([[1e-5, 0, 1], [np.nan] * 3])
     assert apart("a/unrounded normal", normal, turned)[0].tolist() == [True, False]

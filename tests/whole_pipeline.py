@@ -17,8 +17,8 @@ import yaml
 from numpy.typing import NDArray
 
 from lightstage.cli.main import main
+from lightstage.kernels.motion import upsampling
 from lightstage.kernels.normals import rig_normals
-from lightstage.stages import upsample
 from tests.processors import REPOSITORY, performs
 
 PIPELINE = REPOSITORY / "pipeline.yaml"
@@ -41,7 +41,7 @@ def _computed(store: Path, session: str) -> Iterator[tuple[str, NDArray[Any]]]:
         unrounded[stored.tobytes()] = np.array(normal)
         return stored
 
-    rig_normals.quantised = upsample.quantised = quantised
+    rig_normals.quantised = upsampling.quantised = quantised
     for node in nodes(session):
         words = ["run", node, "--session", session, "--pipeline", str(PIPELINE)]
         if main(["--store", str(store), *words]):

@@ -128,6 +128,13 @@ def invert(
     return Inverse(out, valid)
 
 
+def seen(flow: Image) -> Image:
+    """1 where a point is seen in the picture that the flow leads to, 0 where it is hidden or beyond the border."""
+    back = warp(invert(flow).flow, flow, interpolation="linear") + flow
+    # wrong by a pixel: another point is there
+    return np.asarray(np.hypot(back[0], back[1]) < 1, np.float32)
+
+
 @njit(nogil=True, cache=True, error_model="numpy")
 def _landing(flow: Image, sure: Image, stretch: float) -> tuple[NDArray[np.int32], Image]:
     """Where each pixel comes from, to a pixel, (xy, y, x), and the confidence of the best place that lost.

@@ -24,6 +24,10 @@ _EXCESS_PX, _POWER_PX = 0.8, 2.0
 _BLURRED_NOISE = 0.3
 """Variance that noise keeps in that blur; 0.13 if pixels were independent, but pictures were resampled."""
 
+_NO_DISTANCE = (
+    "the norm does not tell the distance; the stage's centre was taken, so check the lights and camera items"
+)
+
 
 class Scene(NamedTuple):
     """What the corrections know of the rig and the subject."""
@@ -124,7 +128,9 @@ def _read_out(
     if found is not None:
         out["depth_mm"] = found.depth.astype(np.float32)
         out["irradiance"] = irradiance.astype(np.float32)
-        out["stats"] = {"distance_mm": found.distance_mm, "distance_found": float(found.distance_found)}
+        out["stats"] = {"distance_mm": found.distance_mm}
+        if not found.distance_found:
+            out["warnings"] = [_NO_DISTANCE]
     if seen is not None:
         share = np.zeros((seen.shape[1], *mask.shape), np.uint8)
         share[:, mask] = np.floor(seen.T * VISIBILITY_STEPS + 0.5).astype(np.uint8)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from lightstage.kernels.motion.flow_warp import INTERPOLATIONS, invert, unit, warp, warp_vectors
+from lightstage.kernels.motion.flow_warp import INTERPOLATIONS, invert, seen, unit, warp, warp_vectors
 
 Array = NDArray[Any]
 SHAPE = (40, 52)
@@ -224,3 +224,17 @@ def test_inputs_are_not_written() -> None:
     invert(flow, confidence)
     for array, copy in zip((picture, flow, confidence), copies, strict=True):
         np.testing.assert_array_equal(array, copy)
+
+
+def test_what_leaves_the_picture_is_not_seen() -> None:
+    """All moves 4 px to the right: the last 4 columns are beyond the border."""
+    visible = seen(flow_of(4, 0))
+    assert visible[:, 2:-6].min() == 1
+    assert visible[:, -4:].max() == 0
+
+
+def test_what_is_folded_under_something_else_is_not_seen() -> None:
+    """From column 26 on all moves 6 px to the left, over what stands still: one of the two is hidden."""
+    visible = seen(flow_of(np.where(X < 26, 0.0, -6.0), 0))
+    assert visible[5:-5, 21:25].max() == 0 or visible[5:-5, 27:31].max() == 0
+    assert visible[5:-5, 2:18].min() == 1
