@@ -62,7 +62,7 @@ def _slice(items: Items, kind: str, values: Sequence[str], cameras: Sequence[str
     return {name: item[name] for name in values} | {"pictures": {c: item["pictures"][c] for c in cameras}}
 
 
-def _homography(items: Items, cameras: Sequence[str], reference: str) -> Mapping[str, Any] | None:
+def _homography(items: Items, cameras: Sequence[str], reference: str) -> list[list[float]] | None:
     if len(cameras) == 1:
         return None
     (other,) = [camera for camera in cameras if camera != reference]
@@ -72,15 +72,30 @@ def _homography(items: Items, cameras: Sequence[str], reference: str) -> Mapping
             f"the session has two cameras and no homography item; {other} cannot be brought to {reference}'s grid "
             "(bind one with `lightstage calibration use FILE --session S`)"
         )
-    if {item["from"], item["to"]} != {reference, other}:
+    matrix = item["matrix"]
+    if (item["from"], item["to"]) == (reference, other):
+        matrix = _adjugate(matrix)
+    elif (item["from"], item["to"]) != (other, reference):
         raise StageError(
             f"the homography goes from {item['from']} to {item['to']}; one from {other} to {reference} is needed"
         )
     # one scale for equal maps; a map that sends the origin to infinity has a 0 in that place
-    largest = max(abs(value) for row in item["matrix"] for value in row)
-    corner = item["matrix"][2][2]
+    largest = max(abs(value) for row in matrix for value in row)
+    corner = matrix[2][2]
     scale = corner if abs(corner) > 1e-9 * largest else largest
-    return {"from": item["from"], "matrix": [[float(value / scale) for value in row] for row in item["matrix"]]}
+    return [[value / scale + 0.0 for value in row] for row in matrix]  # no -0, which would be another text
+
+
+def _adjugate(m: Sequence[Sequence[float]]) -> list[list[float]]:
+    """The inverse but for its scale, (3, 3)."""
+    return [
+        [
+            m[(j + 1) % 3][(i + 1) % 3] * m[(j + 2) % 3][(i + 2) % 3]
+            - m[(j + 1) % 3][(i + 2) % 3] * m[(j + 2) % 3][(i + 1) % 3]
+            for j in range(3)
+        ]
+        for i in range(3)
+    ]
 
 
 def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: RegisterParams) -> Arrangement:

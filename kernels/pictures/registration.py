@@ -67,7 +67,7 @@ def prepare(
     white_level: int,
     dark: Mapping[str, Any] | None,
     flat: Mapping[str, Any] | None,
-    homography: Mapping[str, Any] | None,
+    homography: Sequence[Sequence[float]] | None,
     flat_smoothing_percent: float,
 ) -> Mapping[str, Any]:
     size = (int(shape[0]), int(shape[1]))
@@ -80,7 +80,7 @@ def prepare(
         to_source = None
         if camera != reference:
             undone = undone_shape(rotate, size)
-            to_source = _to_source(homography, reference)
+            to_source = np.linalg.inv(np.asarray(homography, float))
             seen = view_fraction(to_source, undone, grid)
             if seen < 0.1:
                 raise KernelError(
@@ -89,12 +89,6 @@ def prepare(
                 )
         views.append(View(darks[camera], gains[camera], rotate, mirror, to_source))
     return {"views": tuple(views), "grid": grid, "white_level": white_level}
-
-
-def _to_source(homography: Mapping[str, Any] | None, reference: str) -> NDArray[np.float64]:
-    assert homography is not None, "a declaration that lets a second camera in without a homography"
-    matrix = np.asarray(homography["matrix"], float)
-    return matrix if homography["from"] == reference else np.linalg.inv(matrix)
 
 
 def _picture(kind: str, camera: str, item: Mapping[str, Any], size: tuple[int, int]) -> NDArray[np.float32]:

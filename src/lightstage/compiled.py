@@ -260,5 +260,5 @@ def _remove_unused(where: Path) -> None:
     before = time.time() - _UNUSED_DAYS * 86400
     for path in where.iterdir():
         with contextlib.suppress(OSError):
-            if path.suffix in (".nbc", ".part") and path.stat().st_mtime < before:
+            if path.suffix in (".nbc", ".json", ".part") and path.stat().st_mtime < before:
                 path.unlink()

@@ -100,14 +100,14 @@ def test_a_cluster_that_lacks_or_loses_what_it_needs_is_told(
 
 @pytest.mark.slow
 def test_a_living_worker_whose_module_was_edited_refuses(tmp_path: Path) -> None:
-    """`align` lets the worker import what `normals` uses too; then that is edited, and `normals` is new to it."""
+    """The worker has computed `align` with a module that is edited then, and a new command would do it again."""
     code = tmp_path / "code"
     copy_package(code)
     pipeline = code / "pipeline.yaml"
     pipeline.write_text(
         "stages:\n  capture: {uses: capture}\n  register: {uses: register, from: capture}\n"
         "  split: {uses: split, from: register}\n  stack: {uses: stack, from: split}\n"
-        "  align: {uses: align, from: stack}\n  normals: {uses: normals, from: stack}\n"
+        "  align: {uses: align, from: stack}\n  normals: {uses: normals, from: align}\n"
     )
     import_capture(sphere_capture(tmp_path / "ball", size=16), Store(tmp_path / "store"))
     with running_cluster(code) as (process, address):
@@ -120,11 +120,11 @@ def test_a_living_worker_whose_module_was_edited_refuses(tmp_path: Path) -> None
 
         first = run("align")
         assert first.returncode == 0, first.stderr
-        shared = code / "lightstage" / "kernels" / "normals" / "spherical_gradients.py"
+        shared = code / "lightstage" / "kernels" / "pictures" / "picture_sets.py"
         shared.write_text(shared.read_text() + "\n_EDITED = 1\n")
         second = run("normals")
     assert second.returncode == 1
-    assert "has other code or libraries for the stage normals than the command had; restart" in second.stderr
+    assert "has other code or libraries for the stage align than the command had; restart" in second.stderr
     assert len(second.stderr.splitlines()) == 1
 
 

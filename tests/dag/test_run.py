@@ -10,7 +10,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,8 @@ import pytest
 import xarray
 
 from lightstage.dag import task as dag_task
-from lightstage.stages import register as register_stage
+from lightstage.kernels.errors import KernelError
+from lightstage.kernels.pictures import registration
 from lightstage.store.importer import import_capture
 from lightstage.store.root import Store
 from lightstage.store.sessions import read_session
@@ -384,12 +384,10 @@ def test_gc_frees_what_nothing_uses_and_nothing_else(lightstage: Lightstage, bal
 def test_a_kernels_refusal_names_node_and_block(
     lightstage: Lightstage, ball: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from lightstage.dag.stage import StageError
+    def refuse(raw: Any, *, views: Any, grid: Any, white_level: Any) -> Any:
+        raise KernelError("the two cameras disagree")
 
-    def refuse(*_: Any, **__: Any) -> Any:
-        raise StageError("the two cameras disagree")
-
-    monkeypatch.setattr(register_stage, "STAGE", replace(register_stage.STAGE, kernel=refuse))
+    monkeypatch.setattr(registration, "register", refuse)
     change_picture(ball, "0004_Xc_576nm_CAM1.png")
     lightstage("import", ball)
     done = lightstage("run", "--session", "ball")

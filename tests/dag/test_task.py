@@ -3,7 +3,6 @@
 import functools
 import shutil
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ import pytest
 
 from lightstage.dag import run as dag_run
 from lightstage.dag.task import BlockTask, equal_to_rounding, execute
-from lightstage.stages import normals as normals_stage
+from lightstage.kernels.normals import methods
 from lightstage.store.records import BlockRecord
 from tests.conftest import Answer
 
@@ -41,10 +40,8 @@ def every_task(monkeypatch: pytest.MonkeyPatch, change: Callable[[BlockTask], No
 
 def normals_kernel(monkeypatch: pytest.MonkeyPatch, around: Callable[..., Any]) -> None:
     """Let `around(kernel, **what it gets)` stand in the place of the kernel of `normals`."""
-    stage = normals_stage.STAGE
-    assert stage.kernel is not None
-    kernel = functools.wraps(stage.kernel)(functools.partial(around, stage.kernel))
-    monkeypatch.setattr(normals_stage, "STAGE", replace(stage, kernel=kernel))
+    kernel = functools.wraps(methods.normals)(functools.partial(around, methods.normals))
+    monkeypatch.setattr(methods, "normals", kernel)
 
 
 def test_another_engine_is_refused(lightstage: Lightstage, ball: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -22,7 +22,7 @@ def test_a_distance_that_the_norm_does_not_tell_is_a_sentence(known: bool, monke
         return replace(rounds(*given, **more), distance_found=known)
 
     monkeypatch.setattr(self_consistent, "solve", solve)
-    rig = rig_normals.Rig(
+    rig = rig_normals.Scene(
         Pinhole.of(camera, depth.shape), Lights(places, drive, np.ones(len(places))), np.isfinite(depth)
     )
     band = {name: np.asarray(picture, np.float32) for name, picture in pictures.items()}
