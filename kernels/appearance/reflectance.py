@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightstage.hw.illuminations import CONSTANT, pairs
+from lightstage.kernels.pictures.masked_mean import MaskedMean
 from lightstage.kernels.pictures.noise import noise_model
 from lightstage.kernels.pictures.subject_mask import find_subject
 from lightstage.kernels.surface.interreflection import Tiles
@@ -143,9 +144,7 @@ def _smooth(constant: Image) -> Image:
     if not subject.any():
         return np.ones(middle.shape, np.float32)
     log = np.where(subject, np.log(np.where(subject, constant, 1).astype(np.float64)).mean(axis=0), 0)
-    sigma = _SMOOTH * constant.shape[2]
-    part = cv2.GaussianBlur(subject.astype(np.float64), (0, 0), sigma)
-    low = cv2.GaussianBlur(log, (0, 0), sigma) / np.maximum(part, 1e-6)
+    low = MaskedMean(subject, _SMOOTH * constant.shape[2])(log)
     return np.where(subject, np.exp(low - np.median(low[subject])), np.float32(np.nan)).astype(np.float32)
 
 

@@ -10,12 +10,13 @@ roughness from moments of the lobe; Immerkaer (1996), doi:10.1006/cviu.1996.0060
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from lightstage.hw.illuminations import AXES, CONSTANT, complement, pairs
 from lightstage.kernels.appearance.microfacets import sphere_response
+from lightstage.kernels.pictures.masked_mean import MaskedMean, ending
+from lightstage.kernels.pictures.noise import finest_detail
 
 Image = NDArray[np.float32]
 Array = NDArray[np.float64]
@@ -105,10 +106,8 @@ def _noise(pictures: Mapping[str, Image], known: Mask) -> Array:
     if couples:
         off = [(pictures[a] + pictures[b] - pictures[CONSTANT]).astype(np.float64) ** 2 / 2 for a, b in couples]
     else:
-        # the finest detail (Immerkaer 1996)
-        mask = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float64) / 6
         picture = next(iter(pictures.values())).astype(np.float64)
-        off = [cv2.filter2D(np.where(known, picture, 0), -1, mask) ** 2]
+        off = [finest_detail(np.where(known, picture, 0)) ** 2]
     around = local_mean(np.mean(off, axis=0), known, _NOISE_PX)
     least = float(np.max(around[known], initial=0.0)) * 1e-6
     return np.maximum(around, max(least, 1e-30))
@@ -184,10 +183,7 @@ def _crossing(expected: Array, norm: Array) -> tuple[Array, Array]:
 
 def local_mean(values: Array, known: Mask, sigma: float) -> Array:
     """Gaussian mean over what is known."""
-    inside = known.astype(np.float64)
-    top = cv2.GaussianBlur(np.where(known, values, 0.0), (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
-    share = cv2.GaussianBlur(inside, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
-    return np.asarray(top / np.maximum(share, 1e-9))
+    return MaskedMean(known, sigma, least=1e-9, blur=ending)(values)
 
 
 def at_width(lobes: Array, width: Array) -> Array:

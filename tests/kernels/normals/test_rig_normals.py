@@ -22,11 +22,11 @@ def test_a_distance_that_the_norm_does_not_tell_is_a_sentence(known: bool, monke
         return replace(rounds(*given, **more), distance_found=known)
 
     monkeypatch.setattr(self_consistent, "solve", solve)
-    rig = rig_normals.Scene(
+    scene = rig_normals.Scene(
         Pinhole.of(camera, depth.shape), Lights(places, drive, np.ones(len(places))), np.isfinite(depth)
     )
     band = {name: np.asarray(picture, np.float32) for name, picture in pictures.items()}
-    out = rig_normals.solve([band], rig, model="near", as_one=False, filtered="none")
+    out = rig_normals.solve([band], scene, model="near", as_one=False, filtered="none")
     assert list(out["stats"]) == ["distance_mm"]
     wanted = [] if known else ["the norm does not tell the distance; the stage's centre was taken"]
     assert [sentence.split(", so")[0] for sentence in out.get("warnings", [])] == wanted
