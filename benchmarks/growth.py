@@ -144,8 +144,10 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as room:
         work = Path(room)
         source = rendered(work)
-        print("| pictures | import, CPU s | run, CPU s | wall, s | CPU ms a picture | peak, MB | inodes a picture | "
-              "names a picture | kB a picture |\n|---|---|---|---|---|---|---|---|---|")
+        print(
+            "| pictures | import, CPU s | run, CPU s | wall, s | CPU ms a picture | peak, MB | inodes a picture | "
+            "names a picture | kB a picture |\n|---|---|---|---|---|---|---|---|---|"
+        )
         for pictures in options.frames:
             folder, store = performance(work / f"long{pictures}", source, pictures), work / "store"
             brought = process(lightstage(store, "import", folder))
@@ -154,7 +156,17 @@ def main() -> None:
             if options.profile:
                 options.profile.mkdir(parents=True, exist_ok=True)
                 stacks = options.profile / f"{pictures}.txt"
-                spy = ["py-spy", "record", "--format", "raw", "--rate", str(SAMPLES_A_SECOND), "--output", stacks, "--"]
+                spy = [
+                    "py-spy",
+                    "record",
+                    "--format",
+                    "raw",
+                    "--rate",
+                    str(SAMPLES_A_SECOND),
+                    "--output",
+                    stacks,
+                    "--",
+                ]
                 command = [*spy, *command]
             cost = process(command)
             room_taken = held(store)
@@ -179,7 +191,9 @@ def _say_fit(rows: Sequence[tuple[int, Cost]]) -> None:
     slope, start = np.polyfit(count, seconds, 1)
     print(f"CPU = {start:.1f} s + {1e3 * slope:.2f} ms x pictures")
     for n, s in zip(count, seconds, strict=True):
-        print(f"  {n:.0f}: {1e3 * (s - start) / n:.1f} ms a picture after the start, {(s - start) / n / slope - 1:+.0%}")
+        print(
+            f"  {n:.0f}: {1e3 * (s - start) / n:.1f} ms a picture after the start, {(s - start) / n / slope - 1:+.0%}"
+        )
     memory, base = np.polyfit(count, [cost.peak_mb for _, cost in rows], 1)
     print(f"peak memory = {base:.0f} MB + {1e3 * memory:.0f} kB x pictures")
 
