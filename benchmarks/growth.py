@@ -60,10 +60,10 @@ class Held:
     """Bytes of all files, each once."""
 
 
-def process(words: Sequence[str | Path]) -> Cost:
-    """Run a program to its end."""
+def process(words: Sequence[str | Path], folder: Path = ROOT) -> Cost:
+    """Run a program to its end, in a folder."""
     began = time.perf_counter()
-    child = subprocess.Popen([*map(str, words)], cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    child = subprocess.Popen([*map(str, words)], cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     assert child.stderr is not None
     said = child.stderr.read()
     _, status, used = os.wait4(child.pid, 0)
