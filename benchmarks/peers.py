@@ -101,14 +101,15 @@ rule total:
     output: "total.txt"
     shell: "python numbers_step.py total {{output}} {{input}}"
 """
-DVC = f"""stages:
+DVC = f"""vars: [params.json]
+stages:
   step:
     foreach: [{", ".join(map(str, range(INPUTS)))}]
     do:
       cmd: python numbers_step.py step in/${{item}}.txt out/${{item}}.txt ${{limit}}
-      deps: [in/${{item}}.txt]
+      deps: ["in/${{item}}.txt"]
       params: [params.json: [limit]]
-      outs: [out/${{item}}.txt]
+      outs: ["out/${{item}}.txt"]
   total:
     cmd: python numbers_step.py total total.txt {" ".join(f"out/{i}.txt" for i in range(INPUTS))}
     deps: [{", ".join(f"out/{i}.txt" for i in range(INPUTS))}]
