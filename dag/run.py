@@ -117,16 +117,19 @@ def _compute(state: State, store: Store, proof: Path, watcher: Watcher, where: W
     _check_contexts(state, missing)
     # two commands on one cluster must not take each other's tasks for their own
     token = secrets.token_hex(8)
+    names = {name: f"{name}-{token}" for name in state.nodes}
     graph: dict[Any, Any] = {}
     for name, blocks in missing.items():
         for i in blocks:
-            above, known = _above(state, name, i, token)
+            above, known = _above(state, name, i, names)
             task = BlockTask(state.nodes[name].plan, i, store, proof, above, elsewhere=where.elsewhere)
-            graph[f"{name}-{token}", i] = (_execute_known, task, *known)
+            graph[names[name], i] = (_execute_known, task, *known)
     compute(graph, where, _Collector(state, watcher, token, computed))
 
 
-def _above(state: State, name: str, index: int, token: str) -> tuple[dict[tuple[str, int], int], list[Any]]:
+def _above(
+    state: State, name: str, index: int, names: Mapping[str, str]
+) -> tuple[dict[tuple[str, int], int], list[Any]]:
     """Where each block above stands among a task's arguments, and these: records, or the tasks that make them."""
     places: dict[tuple[str, int], int] = {}
     for pieces in state.nodes[name].plan.blocks[index].reads.values():
@@ -136,7 +139,7 @@ def _above(state: State, name: str, index: int, token: str) -> tuple[dict[tuple[
     arguments: list[Any] = []
     for upper, i in places:
         record = state.nodes[upper].records[i]
-        arguments.append((f"{upper}-{token}", i) if record is None else _Known(record))
+        arguments.append((names[upper], i) if record is None else _Known(record))
     return places, arguments
 
 
@@ -146,11 +149,12 @@ class _Known:
     __slots__ = ("record",)
 
     def __init__(self, record: BlockRecord) -> None:
-        self.record = replace(record, trace={})
+        self.record = record
 
 
 def _execute_known(task: BlockTask, *above: "BlockRecord | _Known") -> BlockRecord:
-    return execute(task, *(item.record if isinstance(item, _Known) else item for item in above))
+    record = execute(task, *(item.record if isinstance(item, _Known) else item for item in above))
+    return replace(record, trace={})  # it lies in the store, and nobody here reads it
 
 
 def _check_contexts(state: State, missing: Mapping[str, Sequence[int]]) -> None:
@@ -181,7 +185,6 @@ class _Collector:
 
     def __call__(self, key: tuple[str, int], record: BlockRecord) -> None:
         name, index = key[0].removesuffix(self._suffix), key[1]
-        record = replace(record, trace={})
         if not record.reused:
             self._computed.add(record.key)
         if "not_deterministic" in record.stats:

@@ -136,7 +136,7 @@ def execute(task: BlockTask, *above: BlockRecord) -> BlockRecord:
         reused=False,
     )
     if task.elsewhere:
-        store.chunks.flush()  # the process that publishes cannot wait for this one's disk
+        store.scratch.flush()  # the process that publishes cannot wait for this one's disk
     standing, same = store.records.put_block(record)
     if not same:
         if all(store.chunks.has(ref) for ref in standing.chunks()):

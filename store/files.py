@@ -20,7 +20,6 @@ import time
 import weakref
 from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 from lightstage.store.digest import digest_value
@@ -48,6 +47,7 @@ class Scratch:
         """`marker` is what the store must still say of itself when something is to be written into it."""
         self.folder = folder
         self._marker = marker
+        self.flusher = Flusher()
         self._mine: Path | None = None
         self._pid = 0
         self._unlock: Callable[[], object] = _nothing
@@ -70,6 +70,14 @@ class Scratch:
             assert self._mine is not None
             return self._mine / str(next(_counter))
 
+    def flush(self) -> None:
+        """Wait until everything that was put is on the disk: the barrier before anything refers to it.
+
+        Raises:
+            WorkError: the disk is full.
+        """
+        self.flusher.wait()
+
     def _enter(self) -> None:
         # in a forked child, closing the parent's lock here leaves it with the parent
         self._unlock()
@@ -90,7 +98,7 @@ class Scratch:
         self._mine = mine
 
     def __getstate__(self) -> dict[str, object]:
-        """A store travels to workers; the lock and the folder stay here."""
+        """A store travels to workers; the lock, the folder, and what waits to be flushed stay here."""
         return {"folder": self.folder, "marker": self._marker}
 
     def __setstate__(self, state: dict[str, object]) -> None:
@@ -326,38 +334,78 @@ def write_new(path: Path, data: bytes | memoryview, *, durable: bool) -> None:
 
 
 class Flusher:
-    """Flushes written files to the disk beside the work; `wait` is the barrier before anything refers to them."""
+    """Flushes written files to the disk beside the work; `wait` is the barrier before anything refers to them.
+
+    A disk's own cache is emptied once for all who ask at the same time, so several threads flush; they begin when
+    there is something to do, a moment later so that it is worth it, and end when there is nothing left. An
+    interpreter that exits waits for them.
+    """
 
     def __init__(self) -> None:
-        self._pool: ThreadPoolExecutor | None = None
-        self._pending: deque[Future[None]] = deque()
-        self._lock = threading.Lock()
+        self._pending: deque[Path] = deque()
+        self._threads = 0
+        self._failure: OSError | WorkError | None = None
+        self._done = threading.Condition()
+        self._waited_for = threading.Event()
 
     def add(self, path: Path) -> None:
         """Flush a file soon."""
-        with self._lock:
-            if self._pool is None:
-                self._pool = ThreadPoolExecutor(4, thread_name_prefix="flush")
-            # from the front, where the oldest are; what failed stays, for `wait` to say
-            while self._pending and self._pending[0].done() and not self._pending[0].exception():
-                self._pending.popleft()
-            self._pending.append(self._pool.submit(_flush, path))
+        with self._done:
+            self._pending.append(path)
+            if self._threads == _FLUSHING_THREADS or len(self._pending) <= self._threads * _FLUSHED_AT_ONCE:
+                return
+            self._threads += 1
+        try:
+            threading.Thread(target=self._work, name="flush").start()
+        except RuntimeError:  # no more threads are allowed: `wait` does it
+            with self._done:
+                self._threads -= 1
 
     def wait(self) -> None:
-        """Return when all that was added is on the disk.
+        """Return when all that was added is on the disk; lends a hand.
 
         Raises:
             WorkError: the disk is full.
         """
-        with self._lock:
-            pending, self._pending = self._pending, deque()
-        for future in pending:
-            future.result()
+        with self._done:
+            self._threads += 1
+        self._waited_for.set()
+        self._work()
+        with self._done:
+            self._done.wait_for(lambda: not self._threads)
+            self._waited_for.clear()
+            failure, self._failure = self._failure, None
+        if failure is not None:
+            raise failure
+
+    def _work(self) -> None:
+        while True:
+            self._waited_for.wait(_GATHERED_S)
+            with self._done:
+                batch = [self._pending.popleft() for _ in range(min(_FLUSHED_AT_ONCE, len(self._pending)))]
+                if not batch:
+                    self._threads -= 1
+                    self._done.notify_all()
+                    return
+            for path in batch:
+                try:
+                    _flush(path)
+                except (OSError, WorkError) as failure:
+                    self._failure = failure
+
+
+_FLUSHING_THREADS, _FLUSHED_AT_ONCE = 4, 16
+_GATHERED_S = 0.02
+"""So long files come together before they are flushed, unless somebody waits."""
 
 
 def _flush(path: Path) -> None:
-    with disk_faults_named(path), contextlib.suppress(FileNotFoundError), open(path, "rb") as file:
-        os.fsync(file.fileno())
+    with disk_faults_named(path), contextlib.suppress(FileNotFoundError):
+        file = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+        try:
+            os.fsync(file)
+        finally:
+            os.close(file)
 
 
 def replace(scratch: Scratch, path: Path, data: bytes, *, durable: bool = True) -> None:
@@ -369,7 +417,11 @@ def replace(scratch: Scratch, path: Path, data: bytes, *, durable: bool = True) 
 
 
 def put_if_absent(scratch: Scratch, path: Path, data: bytes | memoryview, *, durable: bool = True) -> bool:
-    """Put `data` at `path` unless something is there already; says whether it did."""
+    """Put `data` at `path` unless something is there already; says whether it did.
+
+    Args:
+        durable: wait for the disk; otherwise it is flushed beside the work, and `scratch.flush` waits for it.
+    """
     temporary = scratch.path()
     with disk_faults_named(path), scratch.present():
         write_new(temporary, data, durable=durable)
@@ -378,6 +430,8 @@ def put_if_absent(scratch: Scratch, path: Path, data: bytes | memoryview, *, dur
         except FileExistsError:
             temporary.unlink(missing_ok=True)
             return False
+        if not durable:
+            scratch.flusher.add(path)
         return True
 
 

@@ -62,7 +62,8 @@ def write_note(scratch: Scratch, group: Path, written: Path, chunks: Placed, mad
         made: what else the note says.
     """
     links = {chunk_file(array, index) for array, placed in chunks.items() for index in placed}
-    below = {Path(entry.path).relative_to(written).as_posix(): Path(entry.path) for entry in files_below(written)}
+    below = (entry.path.removeprefix(f"{written}{os.sep}") for entry in files_below(written))
+    own = [name for name in below if name not in links]
     plain = {
         **made,
         "group": own_place(group),
@@ -70,7 +71,7 @@ def write_note(scratch: Scratch, group: Path, written: Path, chunks: Placed, mad
             array: {".".join(map(str, index)): ref.as_plain() for index, ref in placed.items()}
             for array, placed in chunks.items()
         },
-        "files": {name: digest_bytes(path.read_bytes()) for name, path in below.items() if name not in links},
+        "files": {name: digest_bytes((written / name).read_bytes()) for name in own},
     }
     replace(scratch, note_path(group), seal(plain, indent=1))
 

@@ -113,7 +113,7 @@ class Records:
         path = self._path("blocks", record.key)
         standing = None
         for _ in range(3):  # a damaged record is forgotten on reading, and does not stand in the way again
-            if put_if_absent(self._scratch, path, seal(record.as_plain())):
+            if put_if_absent(self._scratch, path, seal(record.as_plain()), durable=False):
                 return record, True
             standing = self.block(record.key)
             if standing is not None:

@@ -62,7 +62,7 @@ def publish(
                 chunks=chunks,
                 source=store.chunks,
             )
-            store.chunks.flush()
+            store.scratch.flush()
             store.scratch.make_folder(path.parent)
             write_note(store.scratch, path, temporary, chunks, provenance)
             try:

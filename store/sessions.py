@@ -361,7 +361,7 @@ def write_raw(session: Session, store: Store) -> None:
             chunks=chunks,
             source=store.chunks,
         )
-        store.chunks.flush()
+        store.scratch.flush()
         write_note(store.scratch, target, temporary, chunks, _made(session, target))
         try:
             os.rename(temporary, target)
