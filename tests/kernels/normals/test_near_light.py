@@ -341,12 +341,6 @@ def test_depth_does_not_tell_where_its_solver_began(ball: tuple[Any, ...]) -> No
     np.testing.assert_allclose(other[mask], one[mask], rtol=0, atol=1e-8)
 
 
-def test_the_distance_is_where_the_residual_is_zero() -> None:
-    found, told = self_consistent._root(lambda d: np.arctan((d - 803.217) / 40), 850.0, 400.0, 1300.0)
-    assert told
-    assert found == pytest.approx(803.217, abs=1e-6)
-
-
 def test_the_camera_smaller_sees_the_same_rays() -> None:
     _, _, _, camera = near_ball(*light_places(3))
     pinhole = Pinhole.of(camera, (96, 96))
