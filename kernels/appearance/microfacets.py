@@ -21,7 +21,7 @@ Sources: Walter et al. (2007), EGSR, equations 33 to 34, for GGX, 22 for R;
 Ma et al. (2007) for specular gradients.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -94,16 +94,16 @@ def shines(
     out = np.empty((len(points), len(places)), np.float32)
 
     def work(part: slice) -> None:
-        _shines(normal[part], points[part], view[part], alpha[part], places, reach, index, out[part])
+        surface = _Surface(normal[part], points[part], view[part])
+        _shines(surface, alpha[part], places, reach, index, out[part])
 
     in_parts(work, len(points))
     return out
 
 
 @njit(nogil=True, cache=True)
-def _shines(
-    normal: Any, points: Any, view: Any, alpha: Any, places: Any, reach: float, index: float, out: Any
-) -> None:
+def _shines(surface: Any, alpha: Any, places: Any, reach: float, index: float, out: Any) -> None:
+    normal, points, view = surface
     for i in range(points.shape[0]):
         for k in range(places.shape[0]):
             out[i, k] = _shine(normal[i], points[i], view[i], places[k], reach, alpha[i], index)
@@ -132,28 +132,56 @@ def response(
     """
     constant = np.zeros((len(alphas), len(points)))
     vector = np.zeros((len(alphas), len(points), 3))
-    shown = np.ones((1, 1), np.float32) if seen is None else seen
-    reach = lights.distance
+    lamps = _Lamps(lights.position, lights.drive, lights.power, lights.distance)
+    lobes = _Lobes(np.asarray(alphas, np.float64), index)
 
     def work(part: slice) -> None:
-        _response(
-            normal[part], points[part], view[part], lights.position, lights.drive, lights.power, reach,
-            np.asarray(alphas, np.float64), index, shown if seen is None else shown[part], seen is not None,
-            constant[:, part], vector[:, part],
-        )  # fmt: skip
+        surface = _Surface(normal[part], points[part], view[part])
+        shown = None if seen is None else seen[part]
+        _response(surface, lamps, lobes, shown, constant[:, part], vector[:, part])
 
     in_parts(work, len(points))
     return constant, vector
 
 
+class _Surface(NamedTuple):
+    """Points of a surface, (point, xyz): unit normals, places in mm, unit vectors to the camera."""
+
+    normal: Array
+    points: Array
+    view: Array
+
+
+class _Lamps(NamedTuple):
+    """The lights, for the loop."""
+
+    places: Array
+    """(light, xyz), mm."""
+    drive: Array
+    """(light, xyz)."""
+    power: Array
+    """(light)."""
+    reach: float
+    """Where a light has its power, mm."""
+
+
+class _Lobes(NamedTuple):
+    """Widths (width), and the refractive index."""
+
+    alphas: Array
+    refraction: float
+
+
 @njit(nogil=True, cache=True)
-def _response(
-    normal: Any, points: Any, view: Any, places: Any, drive: Any, power: Any, reach: float, alphas: Any,
-    index: float, seen: Any, shadowed: bool, constant: Any, vector: Any,
-) -> None:  # fmt: skip
+def _response(surface: Any, lamps: Any, lobes: Any, seen: Any, constant: Any, vector: Any) -> None:
+    normal, points, view = surface
+    places, drive, power, reach = lamps
+    alphas, index = lobes
     for i in range(points.shape[0]):
         for k in range(places.shape[0]):
-            part = power[k] * (seen[i, k] if shadowed else 1.0)
+            part = power[k]
+            if seen is not None:
+                part *= seen[i, k]
             if part <= 0.0:
                 continue
             for a in range(alphas.shape[0]):

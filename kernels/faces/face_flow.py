@@ -28,6 +28,7 @@ import numpy as np
 import scipy.sparse
 import scipy.sparse.linalg
 from numpy.typing import NDArray
+from scipy.interpolate import BSpline
 from skimage.transform import ThinPlateSplineTransform
 
 from lightstage.kernels.errors import KernelError
@@ -174,12 +175,8 @@ def _sheet(shape: tuple[int, ...], spacing: float) -> tuple[Any, Any]:
     axes, rises = [], []
     for length in shape:
         count = int(np.ceil((length - 1) / spacing)) + 3
-        place = np.arange(length) / spacing
-        first = np.minimum(place.astype(int), count - 4)
-        t = place - first
-        weights = np.stack([(1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3]) / 6
-        rows, columns = np.tile(np.arange(length), 4), np.concatenate([first + k for k in range(4)])
-        axes.append(scipy.sparse.csr_matrix((weights.ravel(), (rows, columns)), shape=(length, count)))
+        knots = np.arange(-3.0, count + 1)
+        axes.append(BSpline.design_matrix(np.arange(length) / spacing, knots, 3))
         difference = scipy.sparse.diags([-1.0, 1.0], [0, 1], shape=(count - 1, count))
         rises.append(difference.T @ difference)
     same = [scipy.sparse.identity(axis.shape[1]) for axis in axes]

@@ -124,7 +124,7 @@ def invert(
     start, rival = _landing(known, sure, stretch)
     out = np.empty_like(known)
     valid = np.empty(known.shape[1:], np.bool_)
-    _fixed_point(known, sure, start, rival, tolerance_px, rounds, stretch, margin, out, valid)
+    _fixed_point(known, sure, start, rival, _Limits(tolerance_px, rounds, stretch, margin), Inverse(out, valid))
     return Inverse(out, valid)
 
 
@@ -133,6 +133,15 @@ def seen(flow: Image) -> Image:
     back = warp(invert(flow).flow, flow, interpolation="linear") + flow
     # wrong by a pixel: another point is there
     return np.asarray(np.hypot(back[0], back[1]) < 1, np.float32)
+
+
+class _Limits(NamedTuple):
+    """When the fixed point is one; see `invert`."""
+
+    tolerance_px: float
+    rounds: int
+    stretch: float
+    margin: float
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -209,23 +218,14 @@ def _flow_beside_unknown(flow_x: Image, flow_y: Image, px: float, py: float) -> 
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _fixed_point(
-    flow: Image,
-    sure: Image,
-    start: NDArray[np.int32],
-    rival: Image,
-    tolerance: float,
-    rounds: int,
-    stretch: float,
-    margin: float,
-    out: Image,
-    valid: NDArray[np.bool_],
-) -> None:
+def _fixed_point(flow: Image, sure: Image, start: NDArray[np.int32], rival: Image, limits: Any, out: Any) -> None:
+    tolerance, rounds, stretch, margin = limits
+    inverse, valid = out
     rows, columns = flow.shape[1:]
     flow_x, flow_y = flow[0], flow[1]
     for y in range(rows):
         for x in range(columns):
-            out[0, y, x] = out[1, y, x] = _NAN
+            inverse[0, y, x] = inverse[1, y, x] = _NAN
             valid[y, x] = False
             sx, sy = start[0, y, x], start[1, y, x]
             if sx < 0:
@@ -253,7 +253,7 @@ def _fixed_point(
             area = _area(flow, int(np.floor(px)), int(np.floor(py)))
             if area * stretch < 1.0 or area > stretch:
                 continue
-            out[0, y, x], out[1, y, x] = np.float32(px - x), np.float32(py - y)
+            inverse[0, y, x], inverse[1, y, x] = np.float32(px - x), np.float32(py - y)
             valid[y, x] = True
 
 

@@ -17,7 +17,7 @@ Sources: Woodham (1980) and Ma et al. (2007) for distant lights; the model of ne
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -201,27 +201,40 @@ def invert(vector: Array, points: Array, lights: Lights, seen: NDArray[np.float3
     """
     count = len(vector)
     out = Response(np.empty((count, 3)), np.empty(count), np.empty((count, 3)))
-    none = np.ones((1, 1), np.float32)
+    lamps = _Lamps(lights.position, lights.drive, lights.power * lights.distance**2)
 
     def work(part: slice) -> None:
         _invert(
-            np.ascontiguousarray(vector[part], np.float64), np.ascontiguousarray(points[part]), lights.position,
-            lights.drive, lights.power * lights.distance**2, none if seen is None else seen[part],
-            seen is not None, out.normal[part], out.direct[part], out.vector[part],
-        )  # fmt: skip
+            np.ascontiguousarray(vector[part], np.float64),
+            np.ascontiguousarray(points[part]),
+            lamps,
+            None if seen is None else seen[part],
+            (out.normal[part], out.direct[part], out.vector[part]),
+        )
 
     in_parts(work, count)
     return out
 
 
 _STEPS = 12
+"""Of Newton's method; most points need three."""
+
+
+class _Lamps(NamedTuple):
+    """The lights, for the loop."""
+
+    places: Array
+    """(light, xyz), mm."""
+    drive: Array
+    """(light, xyz)."""
+    power: Array
+    """(light): s_k R^2."""
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _invert(
-    vector: Any, points: Any, places: Any, drive: Any, power: Any, seen: Any, shadowed: bool,
-    normal: Any, direct: Any, predicted: Any,
-) -> None:  # fmt: skip
+def _invert(vector: Any, points: Any, lamps: Any, seen: Any, out: Any) -> None:
+    places, drive, power = lamps.places, lamps.drive, lamps.power
+    normal, direct, predicted = out
     count = places.shape[0]
     e = np.empty((count, 3))
     for i in range(vector.shape[0]):
@@ -235,7 +248,7 @@ def _invert(
             d = places[k] - points[i]
             d2 = d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
             s = power[k] / (d2 * np.sqrt(d2))
-            if shadowed:
+            if seen is not None:
                 s *= seen[i, k]
             e[k, 0], e[k, 1], e[k, 2] = d[0] * s, d[1] * s, d[2] * s
         u0, u1, u2 = vector[i, 0] / length, vector[i, 1] / length, vector[i, 2] / length

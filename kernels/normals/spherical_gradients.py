@@ -88,6 +88,7 @@ _SIX, _THREE_HALVES, _NAN, _FILL = np.float32(6), np.float32(1.5), np.float32(np
 # The branches on `qp` and `view` are pruned when None is passed, so each combination is a loop of its own that
 # vectorises. No fast-math flag that would let the compiler assume there is no NaN, and none by which a last bit is
 # what pays on a processor: "contract", a product and a sum in one step, and "arcp", one over a divisor times.
+# Arrays come one by one: taken out of tuples, the loop with `view` takes 1.7 times as long.
 @njit(nogil=True, cache=True, error_model="numpy", fastmath={"nsz"})
 def _solve(
     x: Any, xc: Any, y: Any, yc: Any, z: Any, zc: Any, c: Any, b: Any, bc: Any,

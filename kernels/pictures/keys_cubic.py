@@ -40,15 +40,15 @@ def weights_of_one(t: Any) -> Any:
 
 
 @njit(**_FLAGS)
-def weights_and_slopes(t: Any, weight: NDArray[np.float32], slope: NDArray[np.float32]) -> None:
-    """Into `weight` (4,) and `slope` (4,), the derivatives by t."""
+def weights_and_slopes(t: Any, into: NDArray[np.float32]) -> None:
+    """Into (2, 4): the weights, and their derivatives by t."""
     t2 = t * t
     t3 = t2 * t
-    weight[0] = -_HALF * t3 + t2 - _HALF * t
-    weight[1] = _1_5 * t3 - _2_5 * t2 + _ONE
-    weight[2] = -_1_5 * t3 + _TWO * t2 + _HALF * t
-    weight[3] = _HALF * t3 - _HALF * t2
-    slope[0] = -_1_5 * t2 + _TWO * t - _HALF
-    slope[1] = _4_5 * t2 - _FIVE * t
-    slope[2] = -_4_5 * t2 + _FOUR * t + _HALF
-    slope[3] = _1_5 * t2 - t
+    into[0, 0] = -_HALF * t3 + t2 - _HALF * t
+    into[0, 1] = _1_5 * t3 - _2_5 * t2 + _ONE
+    into[0, 2] = -_1_5 * t3 + _TWO * t2 + _HALF * t
+    into[0, 3] = _HALF * t3 - _HALF * t2
+    into[1, 0] = -_1_5 * t2 + _TWO * t - _HALF
+    into[1, 1] = _4_5 * t2 - _FIVE * t
+    into[1, 2] = -_4_5 * t2 + _FOUR * t + _HALF
+    into[1, 3] = _1_5 * t2 - t

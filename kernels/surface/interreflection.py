@@ -18,7 +18,7 @@ doi:10.1145/964965.808601). This needs the
 albedo itself; radiance 1 is a white surface facing one light at the lights' mean distance.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -116,15 +116,12 @@ class Tiles:
         centres, turned = self.mean(points), self.mean(normal)
         turned /= np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-9)
         self._factors = np.zeros((len(centres),) * 2, np.float32)
-        places = camera.to_camera(centres)
-        directions = turned @ camera.rotation.T
-        areas = self._sum(area)[self._used]
-        lens = np.array(camera.intrinsics)
+        patches = _Patches(camera.to_camera(centres), turned @ camera.rotation.T, self._sum(area)[self._used])
         front = np.where(mask, depth, np.nan).astype(np.float32)
         slack = 2.0 * self._step * float(np.nanmedian(depth)) / camera.focal
 
         def work(part: slice) -> None:
-            _form_factors(part.start, part.stop, places, directions, areas, front, lens, slack, self._factors)
+            _form_factors((part.start, part.stop), patches, front, camera.intrinsics, slack, self._factors)
 
         in_parts(work, len(centres))
 
@@ -188,11 +185,22 @@ class Tiles:
         return np.asarray(spread.reshape(*known.shape, -1) / np.maximum(known, 1e-6)[..., None], np.float64)
 
 
+class _Patches(NamedTuple):
+    """Tiles in the camera's frame."""
+
+    places: Array
+    """(tile, xyz), mm."""
+    normals: Array
+    """(tile, xyz)."""
+    areas: Array
+    """(tile,), square mm."""
+
+
 @njit(nogil=True, cache=True)
-def _form_factors(
-    first: int, last: int, places: Any, normals: Any, areas: Any, front: Any, lens: Any, slack: float, out: Any
-) -> None:
-    """Rows of the matrix: how much of tile i's hemisphere tile j fills."""
+def _form_factors(rows: Any, patches: Any, front: Any, lens: Any, slack: float, out: Any) -> None:
+    """Rows (first and one beyond the last) of the matrix: how much of tile i's hemisphere tile j fills."""
+    first, last = rows
+    places, normals, areas = patches
     height, width = front.shape
     fx, fy, cx, cy = lens
     steps = 12

@@ -80,7 +80,7 @@ def outline_of_points(
             raise KernelError("the ball is cut by the frame; the whole ball must be in the picture")
     spread = plain[used] - centre
     # twelve degrees hold a point at least, however coarse the points are
-    sectors = np.unique(np.floor(np.degrees(np.arctan2(spread[:, 1], spread[:, 0])) / 12))
+    sectors = np.unique(np.floor(np.degrees(np.arctan2(spread[:, 1], spread[:, 0])) / 12) % 30)
     rms = float(np.sqrt(np.mean(error[used] ** 2)))
     return Outline(conic, ring, centre, float(np.sqrt(axes.prod())), points_px, used, rms, sectors.size / 30)
 

@@ -132,7 +132,8 @@ _Result = tuple[Array, Array, dict[str, float], Array, Array, Array]
 def _calibrate(corners: Sequence[Array], square_mm: float, shape: tuple[int, int]) -> _Result:
     rows, columns = corners[0].shape[:2]
     x, y = np.meshgrid(np.arange(columns), np.arange(rows))
-    board = np.stack([x, y, np.zeros_like(x)], -1).reshape(-1, 3).astype(np.float32) * square_mm
+    # double precision: OpenCV rounds projections of a single-precision board to 3e-5 px, and the fit ends early
+    board = np.stack([x, y, np.zeros_like(x)], -1).reshape(-1, 3).astype(np.float64) * square_mm
     measured = [points.reshape(-1, 2) for points in corners]
     middle = (np.array(shape[::-1]) - 1) / 2
     pictures = [points.astype(np.float32)[:, None] for points in measured]
@@ -141,7 +142,7 @@ def _calibrate(corners: Sequence[Array], square_mm: float, shape: tuple[int, int
     f = 2.5 * max(shape)
     start = np.array([[f, 0, middle[0]], [0, f, middle[1]], [0, 0, 1]])
     _, start, _, turns, shifts = cv2.calibrateCamera(
-        [board] * len(pictures), pictures, shape[::-1], start, np.zeros(5), flags=flags
+        [board.astype(np.float32)] * len(pictures), pictures, shape[::-1], start, np.zeros(5), flags=flags
     )
     # inner parameters: log fx, log fy / fx, cx, cy, k1 k2 p1 p2 k3, then turn and shift of every board
     inner = np.array([np.log(start[0, 0]), 0, *middle, 0, 0, 0, 0, 0])
@@ -189,7 +190,7 @@ def _unpacked(inner: Array) -> tuple[Array, Array]:
 
 
 def _equations(
-    board: NDArray[np.float32], measured: Sequence[Array], inner: Array, poses: Sequence[Array], prior: Array,
+    board: Array, measured: Sequence[Array], inner: Array, poses: Sequence[Array], prior: Array,
     noise: float, shape: tuple[int, int],
 ) -> tuple[Array, Array, Array, float, Array]:  # fmt: skip
     """Normal equations (times σ²), residuals (picture, corner, xy) and cost."""

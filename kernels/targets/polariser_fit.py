@@ -21,6 +21,9 @@ from numpy.typing import NDArray
 from lightstage.kernels.errors import KernelError
 
 Array = NDArray[np.float64]
+VAGUE_DEG = 0.5
+"""Standard error of an angle from which it is too vague: half a degree off lets 0.008 % through, as much as a good
+sheet polariser does by itself."""
 GRAZING_DEG = 40.0
 """Incidence on a metal from which it shows: chromium leaves up to 0.6 % below, 4 % at 55, 18 % above 70 degrees."""
 
@@ -104,11 +107,12 @@ def fit_polarisers(
             f"Lights {names} strike the metal ball at more than {GRAZING_DEG:g} degrees: their residual is partly "
             "the metal's and their angle not that of skin; use a plastic ball for them."
         )
-    vague = np.flatnonzero(theta0_se > 0.5)
+    vague = np.flatnonzero(np.degrees(theta0_se) > VAGUE_DEG)
     if vague.size:
         names = ", ".join(str(k) for k in vague)
         notes.append(
-            f"Lights {names} are too weak to place their polariser within 0.5 degrees; expose them longer."
+            f"Lights {names} are too weak to place their polariser within {VAGUE_DEG:g} degrees; expose them "
+            "longer."
         )
     return PolariserFit(
         theta0_deg=np.mod(np.mod(np.degrees(theta0), 180), 180),  # twice: the first of -1e-17 is 180

@@ -68,3 +68,38 @@ def test_times_that_are_not_told_follow_from_the_rate(told: list[float | None]) 
     facts = {"time_s": told, "frame_rate_hz": 50.0, "illumination": ["X", "C"]}
     assert picture_times(facts) == [0, 0.02]
     assert picture_times({**facts, "time_s": [3.0, 5.0]}) == [3, 5]
+
+
+@pytest.mark.parametrize(
+    ("have", "expected"),
+    [
+        ("C X Y Z Xc Yc Zc", ("difference", "")),
+        ("X Y Z Xc Yc Zc", ("difference", "")),
+        ("C X Y Z", ("ratio", "")),
+        ("C X Y Z Yc", ("minimal", "Y")),
+        ("X Z C Y Xc", ("minimal", "X")),
+        ("L00 L01 L02 L03", ("least_squares", "")),
+    ],
+)
+def test_auto_takes_the_best_that_the_frames_support(have: str, expected: tuple[str, str]) -> None:
+    choice = choose(have.split())
+    assert (choice.method, choice.base) == expected
+
+
+@pytest.mark.parametrize(
+    ("have", "ask", "parts"),
+    [
+        ("C X Y", {}, ["any method needs", "the session has C, X, Y", "no method works"]),
+        ("C X Y Z", {"method": "difference"}, ["difference needs X Y Z Xc Yc Zc", "method: ratio would work"]),
+        ("C X Y Z Xc", {"method": "minimal", "base": "Z"}, ["minimal with base Z needs Z and Zc", "ratio"]),
+        ("C X Y Z", {"correct": "qp"}, ["Xc, Yc, Zc missing", "correct: none works with ratio"]),
+        ("L00 L01 L02", {"correct": "qp"}, ["gradient methods"]),
+        ("L00 L01", {}, ["at least three one-light pictures"]),
+    ],
+)
+def test_a_missing_illumination_says_what_is_needed_what_there_is_and_what_would_work(
+    have: str, ask: dict[str, str], parts: list[str]
+) -> None:
+    with pytest.raises(KernelError) as caught:
+        choose(have.split(), **ask)
+    assert all(part in str(caught.value) for part in parts), str(caught.value)
