@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lightstage.kernels.pictures.resampling import STEP, correct, reorient, undone_shape, view_fraction, warp
+from lightstage.kernels.encodings import SIGNAL_STEP
+from lightstage.kernels.pictures.resampling import correct, reorient, undone_shape, view_fraction, warp
 
 
 def test_counts_by_hand() -> None:
@@ -41,7 +42,7 @@ def test_a_parabola_is_resampled_exactly_where_a_homography_leads(
     assert known.sum() > 500
     inside = (sx >= 1) & (sy >= 1) & (sx < 48) & (sy < 38)
     np.testing.assert_array_equal(known, inside)
-    np.testing.assert_allclose(found[known], surface(sx, sy)[known], atol=STEP / 2 + 2e-4)
+    np.testing.assert_allclose(found[known], surface(sx, sy)[known], atol=SIGNAL_STEP / 2 + 2e-4)
 
 
 def test_an_unknown_pixel_spreads_to_its_sixteen_neighbourhoods() -> None:
