@@ -1,7 +1,7 @@
 """Alignment against the true flow: every engine, every kind of scene, residual against iteration; writes
 docs/methods/alignment.md and docs/figures/alignment_residual.png.
 
-The scenes are synthetic (`moving_scenes.py`), and only seeds 0 to 4 are shown. Each engine gets one gradient pair; all
+The scenes are synthetic (`tests/moving_scenes.py`), and only seeds 0 to 4 are shown. Each engine gets one gradient pair; all
 is judged inside the outline, 8 px away from the border. Pictures are resampled here by SciPy's cubic spline, not by
 the engines' own code. Seconds are CPU seconds of one pair in one thread, both flows, the median over the seeds.
 
@@ -27,11 +27,11 @@ from scipy.ndimage import map_coordinates
 
 from benchmarks import band_alignment
 from benchmarks.accuracy import DOCS, angle
-from benchmarks.moving_scenes import SIZES, Kind, Scene, scene
 from benchmarks.near_light import changed
 from benchmarks.pages import put
 from lightstage.kernels.motion import picture_flow
 from lightstage.kernels.motion.picture_flow import Method, alternating, direct, plain, rounds
+from tests.moving_scenes import SIZES, Kind, Scene, scene
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt

@@ -2,7 +2,7 @@
 
 Runs the real command on six heads of the virtual rig (seeds 1 to 6: six shapes, six skins), reads the stored pictures
 back with Pillow and measures them here, from the definitions. Eyes and flows are held against the heads' own geometry
-(`benchmarks/face_scenes.py`), from the true normals.
+(`tests/face_scenes.py`), from the true normals.
 """
 
 import argparse
@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from benchmarks.accuracy import DOCS, Bench
-from benchmarks.face_scenes import PARTS, framed, true_flow, view
 from benchmarks.pages import put
 from lightstage.cli.face_points import find_points, mean_face
 from lightstage.kernels.faces.face_flow import face_flow, landed
 from lightstage.kernels.faces.face_frame import Frame, find_face
+from tests.face_scenes import PARTS, framed, true_flow, view
 
 Array = NDArray[Any]
 SEEDS = range(1, 7)

@@ -8,7 +8,8 @@
 
 A block record is the truth; the other two are shortcuts that can be deleted at any time. A record is written
 after its chunks, in one step, and is trusted only while its chunks are there. It is sealed and says its own key;
-one that is damaged is forgotten, and what it knew is computed again.
+one that is damaged is forgotten, and what it knew is computed again. So a block's record is
+flushed to the disk beside the work, and nobody waits: a loss of power costs at most its computation.
 """
 
 import contextlib

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.face_scenes import view
 from lightstage.cli.face_points import as_yaml, find_points, read_points
 from lightstage.kernels.faces.face_frame import bring, turned
 from lightstage.store.errors import RequestError
+from tests.face_scenes import view
 
 
 @pytest.mark.parametrize("seed", [5, 6])

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.face_scenes import PARTS, framed, true_flow, view
 from lightstage.kernels.errors import KernelError
 from lightstage.kernels.faces.face_flow import between, face_flow, landed, mixed_normals, pulled, through_points
 from lightstage.kernels.faces.face_frame import Frame
+from tests.face_scenes import PARTS, framed, true_flow, view
 from tests.scenes import angle_deg
 
 FRAME = Frame(60)

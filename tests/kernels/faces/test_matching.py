@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.face_scenes import framed, view
 from lightstage.hw.head import pigments
 from lightstage.kernels.appearance.colour import decode_srgb, encode_srgb
 from lightstage.kernels.appearance.distant_lights import parse_lights
@@ -15,6 +14,7 @@ from lightstage.kernels.appearance.shading import shade
 from lightstage.kernels.errors import KernelError
 from lightstage.kernels.faces.face_frame import Frame, bring
 from lightstage.kernels.faces.matching import Encoding, apart, figures, grey_setting, match, rings, spectrum
+from tests.face_scenes import framed, view
 
 SRGB = Encoding(encode_srgb, decode_srgb)
 LINEAR = Encoding(np.asarray, np.asarray)

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from benchmarks.moving_scenes import Scene, scene
 from lightstage.kernels.motion.joint_flow import extended, follow, joint, joint_flows, nudge, subject_of
+from tests.moving_scenes import Scene, scene
 from tests.scenes import Performer, angle_deg
 
 SEEDS = (0, 1, 2)

@@ -1,7 +1,7 @@
 """Heads of the virtual rig in the frame of stimuli, with places that are known on each.
 
-A head is a union of ellipsoids, so its parts have names: the front of an eye's ellipsoid is the eye on every head. And
-a bent head (`hw.head`) is the same material elsewhere, so every pixel of it is known on the head at rest.
+A head is a union of ellipsoids, so its parts have names: the front of an eye's ellipsoid is the eye on every head.
+And a bent head (`hw.head`) is the same material elsewhere, so every pixel of it is known on the head at rest.
 """
 
 from dataclasses import dataclass

@@ -6,10 +6,10 @@ A head-like ellipsoid with hills, seen from the front, is lit evenly (c) and by 
 
 and r and r' are moved: r_moved(x + u(x)) = r(x). Truth is made without any code of the stages: a flow is a formula
 (rigid, linear and a few cosines), its inverse is solved from the formula to 0.001 px, and each picture is resampled
-once, by a spline of degree 5. Then come shot noise (full well 10000 e-), read noise (10 e-) and rounding to 10 bits.
+once, by a spline of degree 5. Then come shot noise (full well 10000 e-), read noise (10 e-), rounding to 10 bits.
 
-The illuminant is taken as infinitely far away and unshadowed, and surface points keep their normals while they move:
-what is measured on these scenes is the alignment alone.
+The illuminant is taken as infinitely far away and unshadowed, and surface points keep their normals while they
+move: what is measured on these scenes is the alignment alone.
 """
 
 from dataclasses import dataclass
@@ -23,9 +23,9 @@ from scipy.ndimage import map_coordinates
 
 Array = NDArray[Any]
 Kind = Literal["textured", "smooth", "bumpy", "both", "independent"]
-"""textured: pores and freckles in the albedo, small relief. smooth: no fine albedo. bumpy: both fine albedo and strong
-fine relief, which a gradient sees and even light does not. both: strong relief without fine albedo. independent:
-textured, u and v unrelated (otherwise v is -u and a fifth of another flow, as around a tracking frame)."""
+"""textured: pores and freckles in the albedo, small relief. smooth: no fine albedo. bumpy: both fine albedo and
+strong fine relief, which a gradient sees and even light does not. both: strong relief without fine albedo.
+independent: textured, u and v unrelated (otherwise v is -u and a fifth of another flow, as around a tracking frame)."""
 KINDS: tuple[Kind, ...] = get_args(Kind)
 SIZES = {298: (182, 298), 812: (618, 812), 1624: (1236, 1624)}
 """Rows and columns by width."""
@@ -146,7 +146,7 @@ def _surface(
 
 
 def _noise(rng: np.random.Generator, shape: tuple[int, int], sigma: float) -> Array:
-    """Noise blurred by a Gaussian of `sigma` pixels, of standard deviation 1; periodic, hence by Fourier transform."""
+    """Noise blurred by a Gaussian of `sigma` pixels, of standard deviation 1; periodic, so by Fourier transform."""
     spectrum = scipy.fft.rfft2(rng.standard_normal(shape, dtype=np.float32))
     fy, fx = scipy.fft.fftfreq(shape[0])[:, None], scipy.fft.rfftfreq(shape[1])[None]
     spectrum *= np.exp(-2 * (np.pi * sigma) ** 2 * (fy**2 + fx**2)).astype(np.float32)
