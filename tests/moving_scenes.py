@@ -25,7 +25,8 @@ Array = NDArray[Any]
 Kind = Literal["textured", "smooth", "bumpy", "both", "independent"]
 """textured: pores and freckles in the albedo, small relief. smooth: no fine albedo. bumpy: both fine albedo and
 strong fine relief, which a gradient sees and even light does not. both: strong relief without fine albedo.
-independent: textured, u and v unrelated (otherwise v is -u and a fifth of another flow, as around a tracking frame)."""
+independent: textured, u and v unrelated (otherwise v is -u and a fifth of another flow, as around a tracking
+frame)."""
 KINDS: tuple[Kind, ...] = get_args(Kind)
 SIZES = {298: (182, 298), 812: (618, 812), 1624: (1236, 1624)}
 """Rows and columns by width."""
