@@ -19,7 +19,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lightstage.kernels.normals.spherical_gradients import FILL, GRADIENTS, STEPS, Normals, solve, table
+from lightstage.kernels.normals.quantised import FILL, STEPS
+from lightstage.kernels.normals.spherical_gradients import GRADIENTS, Normals, solve, table
 
 SHAPE = (1236, 1624)
 THESIS_SECONDS = 1.78 * 3600

@@ -17,8 +17,10 @@ from typing import Any, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict
 
+from lightstage.kernels.errors import KernelError
 
-class StageError(ValueError):
+
+class StageError(KernelError):
     """A kernel or declaration refuses: one sentence that says what was wrong and what would be right."""
 
 

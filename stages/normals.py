@@ -27,10 +27,10 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from lightstage.dag.stage import Arrangement, Grid, Group, Input, Items, Needs, Output, Params, Stage, StageError
-from lightstage.kernels.normals import one_light, rig_normals, spherical_gradients
+from lightstage.kernels.normals import one_light, quantised, rig_normals, spherical_gradients
 from lightstage.kernels.normals.normal_filter import non_local_means
 from lightstage.kernels.normals.rig_normals import RIG_MODELS, VISIBILITY_STEPS
-from lightstage.kernels.normals.spherical_gradients import FILL, STEPS, table
+from lightstage.kernels.normals.spherical_gradients import table
 from lightstage.kernels.pictures.band_fusion import fuse as fuse_bands
 from lightstage.kernels.pictures.picture_sets import Choice, Window, choose, chosen_sets, windows
 
@@ -93,7 +93,7 @@ def normals(
         openness: with a rig model, measured or modelled.
 
     Returns:
-        `normal` (xyz, y, x) int16 in steps of 1 / STEPS; `albedo` and `norm` (y, x) float32, NaN where not
+        `normal` (xyz, y, x) int16, as `quantised` stores them; `albedo` and `norm` (y, x) float32, NaN where not
         valid; `valid` (y, x). With a rig model all have a leading band, and `depth_mm`, `irradiance` (y, x) and
         `visibility` (light, y, x) come with them as far as the model has them.
     """
@@ -120,8 +120,9 @@ def normals(
         albedo = np.where(result.valid, albedo, np.float32(np.nan))
     normal = result.normal
     if filter == "nlm":
-        unit = np.where(normal == FILL, np.nan, normal / STEPS).transpose(1, 2, 0)
-        normal = rig_normals.quantised(non_local_means(unit, 1 / np.sqrt(np.maximum(albedo, 1e-12)), result.valid))
+        unit = np.moveaxis(quantised.decode(normal), 0, 2)
+        unit = non_local_means(unit, 1 / np.sqrt(np.maximum(albedo, 1e-12)), result.valid)
+        normal = quantised.encode(np.moveaxis(unit, 2, 0))
     return {"normal": normal, "albedo": albedo, "norm": result.norm, "valid": result.valid}
 
 
@@ -426,7 +427,7 @@ STAGE = Stage(
             ("tracking", "band", "xyz", "y", "x"),
             "int16",
             whole=("xyz", "y", "x"),
-            attrs={"scale_factor": 1 / STEPS, "_FillValue": FILL, "units": "unit vector"},
+            attrs=quantised.ATTRS,
         ),
         "albedo": Output(("tracking", "band", "y", "x"), "float32", attrs={"units": "radiance"}),
         "norm": Output(("tracking", "band", "y", "x"), "float32", attrs={"units": "1"}),

@@ -29,8 +29,7 @@ from lightstage.dag.stage import Arrangement, Grid, Group, Input, Items, Output,
 from lightstage.kernels.motion.flow_warp import Interpolation, unit
 from lightstage.kernels.motion.in_between import Side, blend, carry, nearness
 from lightstage.kernels.motion.joint_flow import subject_of
-from lightstage.kernels.normals.rig_normals import quantised
-from lightstage.kernels.normals.spherical_gradients import FILL, STEPS
+from lightstage.kernels.normals import quantised
 from lightstage.kernels.pictures.picture_sets import picture_times
 
 Image = NDArray[np.float32]
@@ -96,7 +95,7 @@ def upsample(
 
 def _result(side: Side) -> Mapping[str, Any]:
     return {
-        "normal": quantised(np.moveaxis(side.normal, 0, 2)),
+        "normal": quantised.encode(side.normal),
         "confidence": np.asarray(side.confidence, np.float32),
     }
 
@@ -173,7 +172,7 @@ STAGE = Stage(
             ("frame", "xyz", "y", "x"),
             "int16",
             whole=("xyz", "y", "x"),
-            attrs={"scale_factor": 1 / STEPS, "_FillValue": FILL, "units": "unit vector"},
+            attrs=quantised.ATTRS,
         ),
         "confidence": Output(("frame", "y", "x"), "float32", attrs={"units": "1"}),
     },

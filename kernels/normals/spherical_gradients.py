@@ -25,12 +25,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from lightstage.kernels.normals.quantised import FILL, STEPS
+
 AXES = "XYZ"
 GRADIENTS = ("X", "Xc", "Y", "Yc", "Z", "Zc")
-STEPS = 32767
-"""Stored normals are int16: component x STEPS. The error is below 0.002 degrees."""
-FILL = -32768
-"""Stored where there is no normal; reads as NaN."""
 
 
 class Table(NamedTuple):
@@ -93,7 +91,7 @@ class Normals(NamedTuple):
     """What the kernel gives, per pixel."""
 
     normal: NDArray[np.int16]
-    """(xyz, y, x), in steps of 1 / STEPS; FILL where there is none."""
+    """(xyz, y, x), as `quantised` stores them."""
     constant: NDArray[np.float32]
     """(y, x): r_c; NaN where there is no normal, as in a point without light."""
     norm: NDArray[np.float32]

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from lightstage.dag.stage import Grid, StageError
 from lightstage.kernels.normals import one_light
-from lightstage.kernels.normals.spherical_gradients import FILL, GRADIENTS, STEPS, solve, table
+from lightstage.kernels.normals.quantised import FILL, STEPS
+from lightstage.kernels.normals.spherical_gradients import GRADIENTS, solve, table
 from lightstage.kernels.pictures.band_fusion import fuse, noise_model
 from lightstage.stages.normals import STAGE, Choice, NormalsParams, choose, light_directions, normals, view_vectors
 from tests.scenes import STATIC, angle_deg, decoded, ideal_gradient, sphere_normals
