@@ -104,7 +104,7 @@ def filled(picture: Image) -> Image:
     Raises:
         StageError: nothing is known.
     """
-    known: NDArray[np.bool_] = np.isfinite(picture).all(axis=0)
+    known: NDArray[np.bool_] = np.asarray(np.isfinite(picture).all(axis=0))
     if not known.any():
         raise StageError("the picture holds no valid pixel")
     return nearest_fill(picture, known)
