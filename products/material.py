@@ -6,7 +6,7 @@ background; the mask says where the subject is.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -120,15 +120,6 @@ def read_material(
         return np.asarray(chosen[node][name].values, np.float64)
 
     depth = picture("shape", "depth_mm")
-    gloss = None
-    if "gloss" in chosen:
-        gloss = _gloss(
-            picture("gloss", "specular"),
-            picture("gloss", "roughness"),
-            np.moveaxis(picture("specular", "normal")[0], 0, 2),
-            np.isfinite(depth),
-            results["gloss"].attrs,
-        )
     material = Material(
         session,
         frame,
@@ -140,12 +131,21 @@ def read_material(
         depth,
         np.asarray(chosen["shape"]["edge"].values),
         Pinhole.of(camera_item, (depth.shape[0], depth.shape[1])),
-        gloss,
+        None,
         dict(recipes),
     )
     if not material.known.any():
         raise ProductError(f"session '{session}' has no pixel with albedo, normal and depth")
-    return material
+    if "gloss" not in chosen:
+        return material
+    gloss = _gloss(
+        picture("gloss", "specular"),
+        picture("gloss", "roughness"),
+        np.moveaxis(picture("specular", "normal")[0], 0, 2),
+        np.isfinite(depth),
+        results["gloss"].attrs,
+    )
+    return replace(material, gloss=gloss)
 
 
 def _gloss(
