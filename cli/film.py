@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 from lightstage.cli.deliver import keep_picture
 from lightstage.cli.refusals import refusals
 from lightstage.cli.show import Screen
-from lightstage.products import names
 from lightstage.store.root import Store
 
 if TYPE_CHECKING:
@@ -39,20 +38,21 @@ def say_film(film: "Film", node: str, session: str, folder: Path, screen: Screen
 def session_film(session: "Session", node: str, store: Store, screen: Screen) -> Path:
     """Draw a session's film beside its contact sheet, unless it shows the result in use already; returns its place.
 
+    Of a result with several bands there is a film of each; the first one's place is returned.
+
     Raises:
         RequestError: the node has no normals in time.
     """
+    from lightstage.products.film import write_series
+    from lightstage.store.grid import open_dataset
     from lightstage.store.results import current_path
 
     result = current_path(session.name, node, store)
+    series = series_of(open_dataset(result), node, session)
 
     def draw(path: Path) -> None:
-        from lightstage.products.film import write_series
-        from lightstage.store.grid import open_dataset
-
-        series = series_of(open_dataset(result), node, session)
         with refusals():
             for film in write_series(path.parent, series, form="mp4", progress=screen.progress):
                 say_film(film, node, session.name, path.parent, screen)
 
-    return keep_picture(store.root / "pictures" / f"{names.film(session.name, node)}.mp4", [result], draw)
+    return keep_picture(store.root / "pictures" / f"{series[0].name}.mp4", [result], draw)

@@ -20,7 +20,8 @@ ROW = dict.fromkeys(COLUMNS, "") | {
 def test_the_folder() -> None:
     files = assemble([ROW], {"a_shape.png": b"png"}, {"format": "x"}, "points", jspsych={})
     assert set(files) == {
-        "a_shape.png", "stimuli.csv", "conditions.csv", "stimuli.js", "experiment.html", "points.yaml", "recipe.json",
+        "a_shape.png", "stimuli.csv", "conditions.csv", "stimuli.js", "experiment.html", "points.yaml",
+        "recipe.json",
     }  # fmt: skip
     (row,) = csv.DictReader(io.StringIO(files["stimuli.csv"].decode()))
     assert tuple(row) == COLUMNS
