@@ -167,7 +167,7 @@ def test_a_full_disk_does_not_stop_the_work(kept: Path, monkeypatch: pytest.Monk
 
 
 def test_an_edit_of_an_imported_module_compiles_anew(monkeypatch: pytest.MonkeyPatch) -> None:
-    import kernels.motion.joint_flow  # noqa: F401  which compiles constants of kernels.motion.block_grid into its functions
+    import lightstage.kernels.motion.joint_flow  # noqa: F401  which compiles constants of kernels.motion.block_grid into its functions
 
     before = compiled._source("lightstage.kernels.motion.joint_flow")
     text = compiled._text
