@@ -24,7 +24,7 @@ from benchmarks.pages import put
 from benchmarks.pipeline import ROOT, command, timed
 from lightstage.kernels.encodings import NORMAL_FILL, NORMAL_STEPS
 from lightstage.kernels.motion.flow_warp import warp
-from lightstage.kernels.normals import spherical_gradients
+from lightstage.kernels.normals import quantised, spherical_gradients
 from lightstage.kernels.normals.gradient_methods import table
 from lightstage.kernels.pictures.picture_sets import choose
 
@@ -169,8 +169,7 @@ def _with_true_flow(name: str, truth: Truth, results: dict[str, xarray.Dataset])
         choice = choose(list(moved))
         method = table(choice.method, choice.base, list(moved), qp=False)
         solved = spherical_gradients.solve([moved[p] for p in method.pictures], method, view=None).normal
-        unit = np.where(solved == NORMAL_FILL, np.nan, solved / NORMAL_STEPS)
-        errors.append(_error(unit, surface, mask))
+        errors.append(_error(quantised.decode(solved), surface, mask))
     return f"| {name} | the true flow | 0 | 0 | - | - | {_means(errors)} | |"
 
 

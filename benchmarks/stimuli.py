@@ -21,9 +21,9 @@ from PIL import Image
 
 from benchmarks.accuracy import DOCS, Bench
 from benchmarks.pages import put
-from lightstage.cli.face_points import find_points, mean_face
 from lightstage.kernels.faces.face_flow import face_flow, landed
 from lightstage.kernels.faces.face_frame import Frame, find_face
+from lightstage.products.face_points import find_points, mean_face
 from tests.face_scenes import PARTS, framed, true_flow, view
 
 Array = NDArray[Any]
@@ -74,7 +74,7 @@ def eyes(bench: Bench) -> list[str]:
         matrix, _ = find_face(seen.normal, template)
         at = places @ matrix[:, :2].T + matrix[:, 2]
         plain.append(np.linalg.norm(at - true, axis=1) / between)
-        found, _ = find_points(seen.normal, str(seed))
+        found, _ = find_points(seen.normal)
         at = np.stack(list(found.values()))
         carried.append(np.linalg.norm(at - true, axis=1) / between)
         apart.append(abs(np.linalg.norm(at[1] - at[0]) / between - 1))

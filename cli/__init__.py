@@ -17,12 +17,11 @@
     export.py     export, with film.py and mesh.py
     skin.py       skin: pigment maps and spectra
     shape.py      shape: from a capture to a mesh
-    stimuli.py    stimuli: matched sets, with stimulus_files.py and face_points.py
+    stimuli.py    stimuli: matched sets, with stimulus_options.py and face_points.py
     material.py   material: maps and a mesh for renderers
     relight.py    relight: the subject under other lights
-    figures.py    matplotlib, as every command uses it
-    pictures.py   EXR and PNG whose colour is said; environment maps
-    deliver.py    files for a folder of the user's
+    deliver.py    where products go
+    refusals.py   what a product refuses, as a request that was wrong
 
 Modules are imported when their command is used: a fully cached run must not pay for the others.
 """

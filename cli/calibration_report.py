@@ -10,8 +10,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lightstage.cli.figures import pyplot
 from lightstage.formats.whole_file import write_whole
+from lightstage.products.figures import pyplot
 from lightstage.store.root import Store
 
 if TYPE_CHECKING:

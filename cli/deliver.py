@@ -1,119 +1,81 @@
-"""Files for a folder of the user's: made aside, moved in when all of them are there.
+"""Where products go: pictures that the store keeps, and files for a folder of the user's."""
 
-A record beside them (JSON) names each with the digest of its bytes and the results it was made from. A file of the
-same name is replaced only where the record says that it is as this command has left it: nothing of anybody else's
-is overwritten. A folder holds the files of one session.
-"""
-
-import json
-import os
-import tempfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
-from lightstage.store.digest import digest_bytes
-from lightstage.store.errors import RequestError, WorkError
-from lightstage.store.intake import read_regular
+from lightstage.products.names import EXPORT_RECORD
 
-_LARGEST_RECORD = 64 << 20
+EXPORT_FORMAT = "lightstage-export/1"
 
 
-def noted(picture: Path, shown: str) -> str:
-    """What stands beside a picture that the store keeps: which results it shows, and the digest of its bytes."""
-    return f"{shown}{digest_bytes(picture.read_bytes())}\n"
+def keep_picture(path: Path, results: Sequence[Path], draw: Callable[[Path], object]) -> Path:
+    """A picture in the store, drawn unless it shows these results already.
+
+    A note beside it says which results it shows, and the digest of its bytes.
+
+    Args:
+        path: of the picture.
+        results: what it shows.
+        draw: writes it, whole or not at all.
+    """
+    note = path.with_suffix(".txt")
+    if path.is_file() and note.is_file() and note.read_text() == _note(path, results):
+        return path
+    path.parent.mkdir(exist_ok=True)
+    note.unlink(missing_ok=True)
+    draw(path)
+    note.write_text(_note(path, results))
+    return path
 
 
-class Delivery:
-    """What one command puts into one folder."""
+def _note(picture: Path, results: Sequence[Path]) -> str:
+    from lightstage.store.digest import digest_bytes
 
-    def __init__(self, to: Path, record: str) -> None:
-        """For a folder, which need not be there yet.
+    return "".join(f"{result}\n" for result in results) + f"{digest_bytes(picture.read_bytes())}\n"
 
-        Args:
-            to: the folder.
-            record: the record's name, which says which command's files they are.
-        """
-        self.to = to
-        self.record = record
 
-    def claim(self, names: Iterable[str], session: str) -> None:
-        """Make the folder, and make sure that these files may be written; to be asked before the work.
+class Export:
+    """Files on their way into a folder of the user's."""
 
-        Raises:
-            RequestError: there can be no such folder, or it holds a file that is not this command's, or the files
-                of another session.
-        """
-        try:
-            self.to.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise RequestError(f"--to {self.to}: no folder can be made there ({error.strerror})") from None
-        known, former = self._known()
-        if former not in (None, session):
-            raise RequestError(f"--to {self.to} holds the files of session '{former}'; choose another folder")
-        for name in names:
-            path = self.to / name
-            if path.exists() and not (path.is_file() and known.get(name) == digest_bytes(path.read_bytes())):
-                raise RequestError(
-                    f"{path} is there already and is not as {self.record} describes it; "
-                    "move it away, or choose another --to"
-                )
+    def __init__(self, work: Path, folder: Path) -> None:
+        self.work = work
+        """Where they are written first."""
+        self._folder = folder
+        self.names: list[str] = []
 
-    def _known(self) -> tuple[dict[str, str], str | None]:
-        """Name to digest, of what the record lists, and whose files they are."""
-        path = self.to / self.record
-        if not path.exists():
-            return {}, None
-        try:
-            record = json.loads(read_regular(path, _LARGEST_RECORD))
-            listed = {str(name): str(entry["digest"]) for name, entry in record["files"].items()}
-            return listed, str(record["session"])
-        except (OSError, ValueError, KeyError, TypeError, AttributeError):
-            raise RequestError(
-                f"{path} is there already and is no record of this command; move it away, or choose another --to"
-            ) from None
+    def add(self, names: Iterable[str]) -> None:
+        """Files that are in `work` now."""
+        self.names += names
 
-    @contextmanager
-    def making(self) -> Iterator[Path]:
-        """A folder to write into; what is in it when the block ends well is handed over by `settle`.
+    @property
+    def files(self) -> list[str]:
+        """Where they are, once the export has ended well."""
+        return [str(self._folder / name) for name in self.names]
 
-        Raises:
-            WorkError: it cannot be written.
-        """
-        try:
-            with tempfile.TemporaryDirectory(prefix=".lightstage-", dir=self.to) as work:
-                yield Path(work)
-        except OSError as error:
-            raise WorkError(f"{self.to} cannot be written ({error.strerror or error})") from None
 
-    def settle(self, work: Path, document: Mapping[str, Any], files: Mapping[str, Mapping[str, Any]]) -> list[Path]:
-        """Write the record and move the files in; returns where they are, the record last.
+@contextmanager
+def exported(folder: Path, session: str, node: str, names: Iterable[str]) -> Iterator[Export]:
+    """An export of a node into a folder of the user's: all of it when the block ends well, or nothing.
 
-        Files of earlier calls stay in the record, so that they can be replaced later.
+    Its record tells what is whose: a file is replaced only where it is of this node and session and is as an export
+    left it.
 
-        Args:
-            work: the folder of `making`.
-            document: what the record says beside the files; `results` is said of each file of this call.
-            files: by name, what the record says of each.
-        """
-        path = self.to / self.record
-        former = json.loads(path.read_text(encoding="utf-8"))["files"] if path.exists() else {}
-        listed = {
-            **{name: entry for name, entry in former.items() if (self.to / name).exists()},
-            **{
-                name: {
-                    **entry,
-                    "results": document.get("results"),
-                    "digest": digest_bytes((work / name).read_bytes()),
-                }
-                for name, entry in files.items()
-            },
-        }
-        (work / self.record).write_text(
-            json.dumps({**document, "files": listed}, indent=1) + "\n", encoding="utf-8"
-        )
-        # the record first: should this stop half-way, what is old there is said not to be ours
-        for name in (self.record, *files):
-            os.replace(work / name, self.to / name)
-        return [*(self.to / name for name in files), path]
+    Args:
+        folder: need not be there.
+        session, node: what is exported.
+        names: of files that may be written.
+
+    Raises:
+        FormatError: there can be no such folder, or a file of that name is not this export's.
+        OSError: it cannot be written.
+    """
+    from lightstage.formats.whole_set import WholeSet
+
+    of = {"session": session, "node": node}
+    delivery = WholeSet(folder, EXPORT_RECORD, of=of)
+    delivery.claim(names)
+    with delivery.making() as work:
+        export = Export(work, folder)
+        yield export
+        delivery.settle(work, {"format": EXPORT_FORMAT}, dict.fromkeys(export.names, of))

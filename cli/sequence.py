@@ -10,10 +10,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lightstage.cli.figures import pyplot
 from lightstage.cli.show import Screen
 from lightstage.cli.values import number, whole
 from lightstage.formats.whole_file import whole_file, write_whole
+from lightstage.products.figures import pyplot
 from lightstage.store.errors import RequestError
 
 if TYPE_CHECKING:

@@ -8,6 +8,7 @@ from lightstage.cli import mesh
 from lightstage.cli.run import add_run_options, paths_of, run_session, session_of
 from lightstage.cli.show import Screen
 from lightstage.cli.values import whole
+from lightstage.products import choices, names
 from lightstage.store.errors import RequestError
 from lightstage.store.root import Store
 
@@ -20,12 +21,12 @@ def configure(commands: Any) -> None:
     shape = commands.add_parser("shape", help="a mesh with texture: import if need be, run, and write it")
     shape.add_argument("session", nargs="?", metavar="SESSION|FOLDER", help="default: the virtual rig's demo")
     shape.add_argument("--to", type=Path, metavar="DIR", help="default: pictures/<session>_shape of the store")
-    shape.add_argument("--format", choices=mesh.FORMATS, default="glb", help="default: %(default)s")
+    shape.add_argument("--format", choices=choices.MESH_FORMATS, default="glb", help="default: %(default)s")
     shape.add_argument(
         "--every", type=whole, default=1, metavar="N", help="vertices are every Nth pixel (default: 1)"
     )
     shape.add_argument(
-        "--normal-map", choices=mesh.SPACES, help="tangent (the default for glb) or object space (obj)"
+        "--normal-map", choices=choices.NORMAL_MAPS, help="tangent (the default for glb) or object space (obj)"
     )
     add_run_options(shape)
     shape.set_defaults(handler=handle_shape, computes=True)
@@ -46,23 +47,11 @@ def handle_shape(options: argparse.Namespace, screen: Screen) -> int:
     summary = run_session(options, store, screen, NODES)
     dataset = open_dataset(paths_of(summary, ("shape",), session.name)["shape"])
     camera = mesh.camera_of(dataset, "shape", session, store)
-    folder = options.to or store.root / "pictures" / f"{session.name}_shape"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RequestError(f"--to {folder}: no folder can be made there ({error.strerror})") from None
-    made = mesh.export_meshes(
-        dataset,
-        camera,
-        "shape",
-        session,
-        folder,
-        screen,
-        store,
-        form=options.format,
-        every=options.every,
-        space=space,
-    )
+    folder = options.to or store.root / "pictures" / names.shape_folder(session.name)
+    made = mesh.deliver_meshes(
+        dataset, camera, "shape", session, folder, screen, store,
+        form=options.format, every=options.every, space=space,
+    )  # fmt: skip
     for file in made["files"]:
         if file.endswith(options.format):
             screen.say(f"mesh: {file}")

@@ -8,6 +8,8 @@ Sources: OpenEXR, "Standard attributes"; the Color Interop Forum's identifiers; 
 JCGT 10(3), for the names of spectral channels.
 """
 
+import errno
+import struct
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,6 +21,8 @@ if TYPE_CHECKING:
 COLOUR, DATA = "lin_rec709_scene", "data"
 REC709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
 """Red, green, blue and white, x and y each."""
+_ROWS_A_BLOCK = 16
+"""Of ZIP compression."""
 
 
 def write_exr(
@@ -53,6 +57,25 @@ def write_exr(
             exr.write(str(file))
     except RuntimeError as error:
         raise OSError(str(error)) from None
+    rows = next(iter(channels.values())).shape[0]
+    if not is_whole(file.read_bytes(), rows):
+        # the library says nothing where its last buffer finds no place
+        raise OSError(errno.ENOSPC, "the picture was not written to its end; the disk may be full", str(file))
+
+
+def is_whole(data: bytes, rows: int) -> bool:
+    """Whether a file of `write_exr` has all its blocks, by the table of their places behind the header."""
+    try:
+        at = 8  # magic number and version
+        while data[at]:  # attributes: name, type, size and value
+            kind = data.index(b"\0", at) + 1
+            size = data.index(b"\0", kind) + 1
+            at = size + 4 + struct.unpack_from("<i", data, size)[0]
+        places = struct.unpack_from(f"<{-(-rows // _ROWS_A_BLOCK)}Q", data, at + 1)
+        ends = [place + 8 + struct.unpack_from("<i", data, place + 4)[0] for place in places]
+    except (IndexError, ValueError, struct.error):
+        return False
+    return 0 not in places and max(ends) <= len(data)
 
 
 def rgb(values: "NDArray[np.floating]", layer: str = "") -> "dict[str, NDArray[np.floating]]":

@@ -1,9 +1,18 @@
 """How results are stored in steps, so that they take little space and nothing that was measured is lost."""
 
+from collections.abc import Mapping
+from typing import Any
+
 NORMAL_STEPS = 32767
 """Stored normals are int16: component x this. The error is below 0.002 degrees."""
 NORMAL_FILL = -32768
 """Stored where there is no normal; reads as NaN."""
+NORMAL_ATTRS: Mapping[str, Any] = {
+    "scale_factor": 1 / NORMAL_STEPS,
+    "_FillValue": NORMAL_FILL,
+    "units": "unit vector",
+}
+"""What an array of stored normals says of itself (CF conventions): xarray reads unit vectors."""
 VISIBILITY_STEPS = 255
 """A light that is seen whole, as it is stored."""
 EDGE_RIGHT, EDGE_BELOW = 1, 2

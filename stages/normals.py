@@ -36,7 +36,7 @@ from lightstage.dag.stage import (
     Stage,
     StageError,
 )
-from lightstage.kernels.encodings import NORMAL_FILL, NORMAL_STEPS, VISIBILITY_STEPS
+from lightstage.kernels.encodings import NORMAL_ATTRS, VISIBILITY_STEPS
 from lightstage.kernels.items import lens_of, lights_of, lights_placed
 from lightstage.kernels.pictures.picture_sets import Choice, Window, choose, chosen_sets
 
@@ -272,7 +272,7 @@ STAGE = Stage(
             ("tracking", "band", "xyz", "y", "x"),
             "int16",
             whole=("xyz", "y", "x"),
-            attrs={"scale_factor": 1 / NORMAL_STEPS, "_FillValue": NORMAL_FILL, "units": "unit vector"},
+            attrs=NORMAL_ATTRS,
         ),
         "albedo": Output(("tracking", "band", "y", "x"), "float32", attrs={"units": "radiance"}),
         "norm": Output(("tracking", "band", "y", "x"), "float32", attrs={"units": "1"}),

@@ -24,7 +24,7 @@ from typing import Any, Literal
 from pydantic import Field
 
 from lightstage.dag.stage import Arrangement, Grid, Group, Input, Items, Name, Output, Params, Stage, StageError
-from lightstage.kernels.encodings import NORMAL_FILL, NORMAL_STEPS
+from lightstage.kernels.encodings import NORMAL_ATTRS
 from lightstage.kernels.pictures.picture_sets import picture_times
 
 
@@ -110,7 +110,7 @@ STAGE = Stage(
             ("frame", "xyz", "y", "x"),
             "int16",
             whole=("xyz", "y", "x"),
-            attrs={"scale_factor": 1 / NORMAL_STEPS, "_FillValue": NORMAL_FILL, "units": "unit vector"},
+            attrs=NORMAL_ATTRS,
         ),
         "confidence": Output(("frame", "y", "x"), "float32", attrs={"units": "1"}),
     },

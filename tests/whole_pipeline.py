@@ -17,8 +17,7 @@ import yaml
 from numpy.typing import NDArray
 
 from lightstage.cli.main import main
-from lightstage.kernels.motion import upsampling
-from lightstage.kernels.normals import rig_normals
+from lightstage.kernels.normals import quantised
 from tests.processors import REPOSITORY, performs
 
 PIPELINE = REPOSITORY / "pipeline.yaml"
@@ -34,14 +33,14 @@ def nodes(session: str) -> list[str]:
 def _computed(store: Path, session: str) -> Iterator[tuple[str, NDArray[Any]]]:
     # by what they are stored as: blocks run in threads, in any order
     unrounded: dict[bytes, NDArray[Any]] = {}
-    rounded = rig_normals.quantised
+    rounded = quantised.encode
 
-    def quantised(normal: NDArray[Any]) -> NDArray[np.int16]:
-        stored = rounded(normal)
-        unrounded[stored.tobytes()] = np.array(normal)
+    def encode(normal: NDArray[Any], valid: NDArray[np.bool_] | None = None) -> NDArray[np.int16]:
+        stored = rounded(normal, valid)
+        unrounded[stored.tobytes()] = np.array(np.moveaxis(normal, 0, 2))
         return stored
 
-    rig_normals.quantised = upsampling.quantised = quantised
+    quantised.encode = encode
     for node in nodes(session):
         words = ["run", node, "--session", session, "--pipeline", str(PIPELINE)]
         if main(["--store", str(store), *words]):

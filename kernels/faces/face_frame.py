@@ -14,11 +14,11 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-import scipy.ndimage
 import scipy.optimize
 from numpy.typing import NDArray
 
 from lightstage.kernels.errors import KernelError
+from lightstage.kernels.pictures.nearest_fill import nearest_fill
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -104,13 +104,10 @@ def filled(picture: Image) -> Image:
     Raises:
         KernelError: nothing is known.
     """
-    known = np.isfinite(picture).all(axis=0)
+    known: NDArray[np.bool_] = np.asarray(np.isfinite(picture).all(axis=0))
     if not known.any():
         raise KernelError("the picture holds no valid pixel")
-    if known.all():
-        return picture
-    rows, columns = scipy.ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
-    return picture[:, rows, columns]
+    return nearest_fill(picture, known)
 
 
 def turned(normal: Image, matrix: Array) -> Image:

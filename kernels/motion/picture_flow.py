@@ -31,7 +31,8 @@ from typing import Any, Literal, NamedTuple, cast
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
+
+from lightstage.kernels.pictures.nearest_fill import nearest_fill
 
 from lightstage.kernels.pictures.masked_mean import MaskedMean
 
@@ -246,13 +247,10 @@ def _alike(pictures: dict[str, Image]) -> dict[str, Image]:
 
 def _filled(picture: Image, name: str) -> Image:
     """A copy with every NaN replaced by the nearest number: an edge at a hole would pull the flow."""
-    unknown = ~np.isfinite(picture)
-    if unknown.all():
+    known = np.isfinite(picture)
+    if not known.any():
         raise ValueError(f"{name} has no finite pixel; there is nothing to align")
-    if not unknown.any():
-        return np.array(picture, np.float32)
-    y, x = distance_transform_edt(unknown, return_distances=False, return_indices=True)
-    return np.asarray(picture[y, x], np.float32)
+    return np.array(nearest_fill(picture, known), np.float32)
 
 
 def _bright(picture: Image) -> np.float32:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lightstage.kernels.motion.flow_warp import Interpolation, unit
 from lightstage.kernels.motion.in_between import Side, blend, carry, nearness
 from lightstage.kernels.motion.joint_flow import subject_of
-from lightstage.kernels.normals.rig_normals import quantised
+from lightstage.kernels.normals import quantised
 
 Image = NDArray[np.float32]
 _MINIMAL = 2
@@ -79,6 +79,6 @@ def _whole(normal: Image, albedo: Image) -> Image:
 
 def _result(side: Side) -> Mapping[str, Any]:
     return {
-        "normal": quantised(np.moveaxis(side.normal, 0, 2)),
+        "normal": quantised.encode(side.normal),
         "confidence": np.asarray(side.confidence, np.float32),
     }

@@ -10,9 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lightstage.kernels.encodings import NORMAL_FILL, NORMAL_STEPS
 from lightstage.kernels.errors import KernelError
-from lightstage.kernels.normals import one_light, rig_normals, spherical_gradients
+from lightstage.kernels.normals import one_light, quantised, rig_normals, spherical_gradients
 from lightstage.kernels.normals.gradient_methods import table
 from lightstage.kernels.normals.normal_filter import non_local_means
 from lightstage.kernels.pictures.band_fusion import fuse as fuse_bands
@@ -79,8 +78,9 @@ def normals(
         albedo = np.where(result.valid, albedo, np.float32(np.nan))
     normal = result.normal
     if filter == "nlm":
-        unit = np.where(normal == NORMAL_FILL, np.nan, normal / NORMAL_STEPS).transpose(1, 2, 0)
-        normal = rig_normals.quantised(non_local_means(unit, 1 / np.sqrt(np.maximum(albedo, 1e-12)), result.valid))
+        unit = quantised.decode(normal).transpose(1, 2, 0)
+        smooth = non_local_means(unit, 1 / np.sqrt(np.maximum(albedo, 1e-12)), result.valid)
+        normal = quantised.encode(smooth.transpose(2, 0, 1))
     return {"normal": normal, "albedo": albedo, "norm": result.norm, "valid": result.valid}
 
 

@@ -13,7 +13,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from lightstage.kernels.encodings import NORMAL_FILL, NORMAL_STEPS
+from lightstage.kernels.normals import quantised
+from lightstage.kernels.normals.spherical_gradients import Normals
 from lightstage.kernels.normals.spherical_gradients import Normals
 
 
@@ -46,8 +47,7 @@ def solve(pictures: Sequence[NDArray[np.float32]], lights: NDArray[np.float64]) 
     albedo = np.sqrt(np.einsum("ayx,ayx->yx", sums, sums))
     valid = albedo > 0
     with np.errstate(invalid="ignore", divide="ignore"):
-        steps = np.floor(sums / albedo * np.float32(NORMAL_STEPS) + np.float32(0.5))
-    normal = np.where(valid, steps, np.float32(NORMAL_FILL)).astype(np.int16)
+        normal = quantised.encode(sums / albedo, valid)
     albedo = np.where(valid, albedo, np.float32(np.nan))
     norm = np.where(valid, np.float32(1 / 3), np.float32(np.nan))
     return Normals(normal, albedo, norm, valid)

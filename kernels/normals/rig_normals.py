@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lightstage.kernels.encodings import NORMAL_FILL, NORMAL_STEPS, VISIBILITY_STEPS
+from lightstage.kernels.encodings import VISIBILITY_STEPS
 from lightstage.kernels.errors import KernelError
-from lightstage.kernels.normals import near_light, self_consistent
+from lightstage.kernels.normals import near_light, quantised, self_consistent
 from lightstage.kernels.normals.normal_filter import non_local_means
 from lightstage.kernels.normals.openness import share_of_light
 from lightstage.kernels.pictures.masked_mean import MaskedMean
@@ -112,7 +112,7 @@ def _read_out(
             normal = np.where(valid[..., None], surface_normals(points, mask), np.nan)
         if filtered == "nlm":
             normal = non_local_means(normal, np.where(valid, 1 / np.sqrt(np.maximum(weight, 1e-30)), 0), valid)
-        normals_.append(quantised(normal))
+        normals_.append(quantised.encode(np.moveaxis(normal, 2, 0)))
         valids.append(valid & np.isfinite(normal).all(axis=2))
     norm = norms
     if as_one:
@@ -191,13 +191,6 @@ def surface_normals(points: NDArray[np.float64], mask: NDArray[np.bool_]) -> NDA
     normal = np.cross(slopes[1], slopes[0])
     length = np.linalg.norm(normal, axis=2, keepdims=True)
     return np.asarray(np.where(mask[..., None] & (length > 0), normal / np.maximum(length, 1e-12), np.nan))
-
-
-def quantised(normal: NDArray[np.floating]) -> NDArray[np.int16]:
-    """(y, x, xyz) unit vectors, NaN where there is none, as they are stored: (xyz, y, x) in steps."""
-    known = np.isfinite(normal).all(axis=2, keepdims=True)
-    steps = np.floor(np.where(known, normal, 0) * NORMAL_STEPS + 0.5)
-    return np.ascontiguousarray(np.where(known, steps, NORMAL_FILL).astype(np.int16).transpose(2, 0, 1))
 
 
 def prepared(context: Mapping[str, Any], shape: tuple[int, int]) -> Scene:

@@ -34,7 +34,7 @@ class Normals(NamedTuple):
     """What the kernel gives, per pixel."""
 
     normal: NDArray[np.int16]
-    """(xyz, y, x), in steps of 1 / NORMAL_STEPS; NORMAL_FILL where there is none."""
+    """(xyz, y, x), as `quantised` stores them."""
     constant: NDArray[np.float32]
     """(y, x): r_c; NaN where there is no normal, as in a point without light."""
     norm: NDArray[np.float32]

@@ -1,6 +1,7 @@
 """Films of normals: what is in the file, read back by another program, and what is refused."""
 
 import os
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,6 @@ import numpy as np
 import pytest
 import xarray
 
-from lightstage.cli.film import angle_deg, as_colour, relit
 from tests.conftest import Answer, put_result
 from tests.scenes import one_camera_capture
 
@@ -97,16 +97,6 @@ def test_the_film_shows_the_normals(lightstage: Lightstage, moving: str, tmp_pat
     assert not [name for name in os.listdir(tmp_path / "out") if ".part" in name]
 
 
-def test_by_hand() -> None:
-    up, front = np.array([[[0, 1, 0]]], np.float32), np.array([[[0, 0, 1]]], np.float32)
-    assert angle_deg(up, front)[0, 0] == pytest.approx(90)
-    assert angle_deg(up, up)[0, 0] == 0
-    assert as_colour(up, "opengl").tolist() == [[[128, 255, 128]]]
-    assert as_colour(up, "directx").tolist() == [[[128, 0, 128]]]
-    assert relit(up).tolist() == [[[76, 76, 76]]]  # 0.3 x 255
-    assert relit(-up).tolist() == [[[0, 0, 0]]]
-
-
 @pytest.mark.parametrize(
     ("words", "part"),
     [
@@ -126,19 +116,41 @@ def test_a_wrong_request_is_one_sentence(
     assert len(done.err.strip().splitlines()) == 1
 
 
-def test_a_full_disk_is_named_and_leaves_the_old_film(
-    lightstage: Lightstage, moving: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("secrets.token_hex", lambda digits: "0")
+def test_a_film_of_somebody_else_stays(lightstage: Lightstage, moving: str, tmp_path: Path) -> None:
     out = tmp_path / "out"
     out.mkdir()
     (out / "head_upsample.mp4").write_bytes(b"old")
-    (out / ".head_upsample-0.mp4").symlink_to("/dev/full")
-    done = lightstage("export", "upsample", "--session", moving, "--to", out, "--format", "mp4")
+    words = ("export", "upsample", "--session", moving, "--to", out, "--format", "mp4")
+    refused = lightstage(*words)
+    assert refused.code == 2
+    assert "head_upsample.mp4 is there already and is not as export.json describes it" in refused.err
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == {"head_upsample.mp4": b"old"}
+    (out / "head_upsample.mp4").unlink()
+    assert lightstage(*words).code == 0
+    first = (out / "head_upsample.mp4").read_bytes()
+    assert lightstage(*words, "--fps", "7").code == 0  # its own film is made anew
+    assert (out / "head_upsample.mp4").read_bytes() != first
+
+
+def test_a_full_disk_is_named_and_leaves_the_old_film(
+    lightstage: Lightstage, moving: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    words = ("export", "upsample", "--session", moving, "--to", out, "--format", "mp4")
+    assert lightstage(*words).code == 0
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    make = tempfile.mkdtemp
+
+    def full(**where: Any) -> str:
+        folder = make(**where)
+        os.symlink("/dev/full", os.path.join(folder, "head_upsample.mp4"))
+        return folder
+
+    monkeypatch.setattr("tempfile.mkdtemp", full)
+    done = lightstage(*words, "--fps", "7")
     assert done.code == 1
     assert "is full" in done.err
-    assert [path.name for path in out.iterdir()] == ["head_upsample.mp4"]
-    assert (out / "head_upsample.mp4").read_bytes() == b"old"
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
 
 
 def test_a_still_subject_has_no_film(lightstage: Lightstage, sphere: Path) -> None:

@@ -7,16 +7,13 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import OpenImageIO
 import pytest
 import trimesh
 from numpy.typing import NDArray
 
-from lightstage.cli.deliver import Delivery
 from lightstage.kernels.appearance.colour import decode_srgb
-from lightstage.store.errors import RequestError
-from tests.cli.test_mesh import Glb
 from tests.conftest import Answer
+from tests.readers import Exr, Glb
 from tests.scenes import sphere_capture
 
 Lightstage = Callable[..., Answer]
@@ -33,21 +30,6 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def head(lightstage: Lightstage, kept: Path) -> Path:
     assert lightstage("demo", "--size", "{}x{}".format(*SIZE), store=kept).code == 0
     return kept
-
-
-class Exr:
-    """An EXR file as OpenImageIO reads it."""
-
-    def __init__(self, file: Path) -> None:
-        source = OpenImageIO.ImageInput.open(str(file))
-        assert source is not None, OpenImageIO.geterror()
-        self.channels = tuple(source.spec().channelnames)
-        self.pixels: NDArray[np.float32] = source.read_image("float")
-        self.attributes = {entry.name: entry.value for entry in source.spec().extra_attribs}
-        source.close()
-
-    def __getitem__(self, channel: str) -> NDArray[np.float32]:
-        return self.pixels[..., self.channels.index(channel)]
 
 
 def truth(store: Path) -> dict[str, NDArray[np.floating]]:
@@ -150,32 +132,6 @@ def test_what_is_not_ours_stays(lightstage: Lightstage, head: Path, tmp_path: Pa
     assert "material.json is there already and is no record of this command" in lightstage(*words, store=head).err
     (tmp_path / "file").write_text("")
     assert "no folder can be made there" in lightstage(*words[:3], tmp_path / "file" / "x", store=head).err
-
-
-def test_a_delivery_that_stops_leaves_nothing(tmp_path: Path) -> None:
-    delivery = Delivery(tmp_path / "out", "record.json")
-    delivery.claim(["a"], "one")
-
-    def stopped() -> None:
-        with delivery.making() as work:
-            (work / "a").write_text("half")
-            raise RequestError("stopped")
-
-    with pytest.raises(RequestError, match="stopped"):
-        stopped()
-    assert not list((tmp_path / "out").iterdir())
-
-
-def test_a_folder_holds_one_session(tmp_path: Path) -> None:
-    delivery = Delivery(tmp_path, "record.json")
-    delivery.claim(["a"], "one")
-    with delivery.making() as work:
-        (work / "a").write_text("made")
-        delivery.settle(work, {"session": "one", "results": {"node": "1"}}, {"a": {"what": "a"}})
-    delivery.claim(["b"], "one")
-    with pytest.raises(RequestError, match="holds the files of session 'one'"):
-        delivery.claim(["b"], "two")
-    assert '"results"' in (tmp_path / "record.json").read_text()
 
 
 def test_without_lights_the_gloss_of_the_subject_is_that_of_its_index(

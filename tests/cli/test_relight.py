@@ -1,38 +1,31 @@
 """Relighting as a command: physics, files read back by others, environments, and what is refused."""
 
 import csv
-import io
 import json
 import os
-import re
-import struct
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
-import OpenEXR
 import pytest
 import xarray
-from numpy.typing import NDArray
 from PIL import Image
 
-from lightstage.cli.pictures import png16, read_environment
-from lightstage.cli.relight import direction, turned
+from lightstage.cli.relight import read_map
 from lightstage.hw.virtual_rig import Shot, capture, radiance
 from lightstage.kernels.appearance.colour import decode_srgb, linear_srgb_matrix
 from lightstage.store.errors import RequestError
-from tests.cli.test_material import Exr
 from tests.conftest import Answer
+from tests.environments import white, write_hdr, write_map
+from tests.readers import Exr
 from tests.scenes import STATIC, light_places, near_ball, write_capture
 
 Lightstage = Callable[..., Answer]
 SHOT = Shot(width=120, height=92)
 WIDTHS_NM = (17, 17, 20, 16, 10, 15)
-AP1 = (0.713, 0.293, 0.165, 0.83, 0.128, 0.044, 0.32168, 0.33767)
 EXPOSURE, TRANSMISSION, ALBEDO = 120.0, 0.9, 0.6
 
 
@@ -46,34 +39,6 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def head(lightstage: Lightstage, kept: Path) -> Path:
     assert lightstage("demo", "--size", f"{SHOT.width}x{SHOT.height}", store=kept).code == 0
     return kept
-
-
-def write_hdr(file: Path, values: NDArray[np.floating]) -> Path:
-    """Radiance HDR, not compressed, by hand (Ward 1991): a mantissa of 8 bits a channel and one exponent."""
-    height, width = values.shape[:2]
-    fraction, exponent = np.frexp(values.max(axis=2))
-    scale = np.where(values.max(axis=2) > 0, fraction * 256 / np.maximum(values.max(axis=2), 1e-30), 0)
-    code = np.zeros((height, width, 4), np.uint8)
-    code[..., :3] = np.floor(values * scale[..., None])
-    code[..., 3] = np.where(scale > 0, exponent + 128, 0)
-    head = f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y {height} +X {width}\n".encode()
-    file.write_bytes(head + code.tobytes())
-    return file
-
-
-def write_map(file: Path, values: NDArray[np.floating], **header: Any) -> Path:
-    parts = {name: np.ascontiguousarray(values[..., i], np.float32) for i, name in enumerate("RGB")}
-    with OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION, **header}, parts) as exr:
-        exr.write(str(file))
-    return file
-
-
-def white(size: int = 16) -> NDArray[np.floating]:
-    return np.ones((size, 2 * size, 3))
-
-
-def noise() -> NDArray[np.floating]:
-    return np.random.default_rng(0).random((16, 32, 3)) ** 4 * 100
 
 
 def ball_capture(folder: Path) -> Path:
@@ -252,105 +217,14 @@ def test_a_film_of_the_environment(lightstage: Lightstage, head: Path, tmp_path:
     assert np.abs(frames[0] - frames[1]).mean() > 2
 
 
-def test_directions() -> None:
-    np.testing.assert_allclose(direction(0, 0), (0, 0, 1), atol=1e-12)
-    np.testing.assert_allclose(direction(90, 0), (1, 0, 0), atol=1e-12)
-    np.testing.assert_allclose(direction(-30, 90), (0, 1, 0), atol=1e-12)
-    np.testing.assert_allclose(turned(np.array([[0.0, 0.6, 0.8]]), 90), [[0.8, 0.6, 0]], atol=1e-12)
-
-
-def test_the_png_is_what_the_standard_says() -> None:
-    """sRGB code of linear 0.5 is 0.7354 (IEC 61966-2-1); decoded by hand."""
-    alpha = np.ones((2, 3), bool)
-    alpha[1, 2] = False
-    data = png16(np.full((2, 3, 3), 0.5), alpha, "said")
-    kinds, at = [], 8
-    while at < len(data):
-        length, kind = struct.unpack(">I4s", data[at : at + 8])
-        kinds.append(kind)
-        at += 12 + length
-    assert kinds[:5] == [b"IHDR", b"sRGB", b"gAMA", b"cHRM", b"tEXt"]
-    assert kinds[-1] == b"IEND"
-    with Image.open(io.BytesIO(data)) as opened:
-        opened.load()  # checks every chunk's sum
-    counts = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    assert counts[0, 0].tolist() == [round(65535 * 0.735357)] * 3 + [65535]
-    assert counts[1, 2].tolist() == [0, 0, 0, 0]
-
-
-@pytest.mark.parametrize("form", ["hdr", "exr"])
-def test_environments_are_read(tmp_path: Path, form: str) -> None:
-    values = noise()
-    file = (write_hdr if form == "hdr" else write_map)(tmp_path / f"sky.{form}", values)
-    # RGBE has 8 bits for the largest channel, rounded down
-    tolerance = values.max(axis=2, keepdims=True) / 128 if form == "hdr" else 1e-5 * np.ones((1, 1, 1))
-    assert (np.abs(read_environment(file) - values) <= tolerance).all()
-
-
-def test_a_wide_map_keeps_its_light(tmp_path: Path) -> None:
-    values = np.zeros((1024, 2048, 3))
-    values[300, 700] = 4000.0
-    made = read_environment(write_map(tmp_path / "sun.exr", values))
-    assert made.shape == (512, 1024, 3)
-    assert made.sum() == pytest.approx(3 * 4000 / 4)
-    assert made[150, 350, 0] > 0
-
-
-def pipe(file: Path) -> Path:
-    os.mkfifo(file)
-    return file
-
-
-def declaring(file: Path, width: int, height: int) -> Path:
-    file.write_bytes(re.sub(rb"-Y \d+ \+X \d+", b"-Y %d +X %d" % (height, width), file.read_bytes()))
-    return file
-
-
-def damaged(file: Path, *, keep: float) -> Path:
-    data = file.read_bytes()
-    file.write_bytes(data[: int(keep * len(data))])
-    return file
-
-
-@pytest.mark.parametrize(
-    ("make", "said"),
-    [
-        (lambda p: p / "none.hdr", "none.hdr is missing"),
-        (lambda p: pipe(p / "a.hdr"), "is a pipe, and no file"),
-        (lambda p: declaring(write_hdr(p / "a.hdr", white()), 60000, 30000), "is no picture that can be read"),
-        (lambda p: write_hdr(p / "a.hdr", np.ones((16, 30, 3))), "is 30 x 16; a map in latitude and"),
-        (lambda p: damaged(write_hdr(p / "a.hdr", white()), keep=0.5), "is damaged or cut short"),
-        (lambda p: damaged(write_map(p / "a.exr", noise()), keep=0.7), "is damaged or cut short"),
-        (lambda p: damaged(write_hdr(p / "a.hdr", white()), keep=0.01), "is no picture that can be read"),
-        (lambda p: write_map(p / "a.exr", white() * np.nan), "1536 values are NaN or infinite"),
-        (lambda p: write_map(p / "a.exr", -white()), "1536 values are negative, down to -1"),
-        (lambda p: write_map(p / "a.exr", 0 * white()), "is black; there is no light in it"),
-        (lambda p: write_map(p / "a.exr", white(), chromaticities=AP1), "its chromaticities are other primaries"),
-        (lambda p: write_map(p / "a.exr", white(), colorInteropID="lin_ap1_scene"), "colour space lin_ap1_scene"),
-    ],
-)  # fmt: skip
-def test_wrong_environments(tmp_path: Path, make: Callable[[Path], Path], said: str) -> None:
-    file = make(tmp_path)
-    with pytest.raises(RequestError) as refused:
-        read_environment(file)
-    assert str(refused.value).startswith(f"--environment {file}")
-    assert said in str(refused.value)
-    assert "\n" not in str(refused.value)
-
-
-@pytest.mark.parametrize(("limit", "said"), [("WIDEST_READ", "a side has at most 8"), ("LARGEST_READ", "MiB are")])
-def test_an_environment_out_of_all_measure_is_not_decoded(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit: str, said: str
-) -> None:
-    monkeypatch.setattr(f"lightstage.cli.pictures.{limit}", 8)
-    with pytest.raises(RequestError, match=said):
-        read_environment(write_map(tmp_path / "a.exr", white()))
-
-
-def test_eight_bits_are_no_radiance(tmp_path: Path) -> None:
-    assert cv2.imwrite(str(tmp_path / "a.png"), np.zeros((16, 32, 3), np.uint8))
-    with pytest.raises(RequestError, match="holds uint8, which ends at white"):
-        read_environment(tmp_path / "a.png")
+def test_a_map_that_is_no_file_is_named(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "a.hdr")
+    for file, said in ((tmp_path / "none.hdr", "is missing"), (tmp_path / "a.hdr", "is a pipe, and no file")):
+        with pytest.raises(RequestError, match=f"--environment {file} {said}"):
+            read_map(file)
+    write_hdr(tmp_path / "square.hdr", np.ones((8, 8, 3)))
+    with pytest.raises(RequestError, match=r"--environment .*square.hdr is 8 x 8; a map in latitude"):
+        read_map(tmp_path / "square.hdr")
 
 
 @pytest.mark.parametrize(
@@ -377,7 +251,9 @@ def test_refusals(lightstage: Lightstage, head: Path, tmp_path: Path, words: tup
     assert not list(tmp_path.glob("out/*"))
 
 
-def test_the_parser_needs_no_numpy() -> None:
+def test_the_parser_needs_nothing_that_computes() -> None:
     """A cached run pays for every command's parser."""
-    code = "import sys, cli.main; cli.main.build_parser(); assert not {'numpy', 'cv2', 'stages'} & set(sys.modules)"
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+    heavy = {"numpy", "cv2", "matplotlib", "PIL", "xarray", "lightstage.stages", "lightstage.products.mesh"}
+    code = f"import sys, lightstage.cli.main as m; m.build_parser(); print(sorted({heavy!r} & set(sys.modules)))"
+    said = subprocess.run([sys.executable, "-c", code], check=True, timeout=60, capture_output=True, text=True)
+    assert said.stdout.strip() == "[]"

@@ -8,8 +8,7 @@ import shutil
 import struct
 import subprocess
 import sys
-import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +18,9 @@ import pytest
 from PIL import Image
 
 from lightstage.cli.main import main
-from lightstage.cli.stimulus_files import COLUMNS, png
+from lightstage.products.stimulus_folder import COLUMNS
 from tests.conftest import Answer
+from tests.readers import chunks
 
 Lightstage = Callable[..., Answer]
 SUBJECTS = ("one", "two")
@@ -57,17 +57,6 @@ def linear(codes: Any) -> Any:
     c = codes.astype(float) / 255
     light = np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
     return 255 * (light @ [0.2126, 0.7152, 0.0722] if light.ndim == 3 else light)
-
-
-def chunks(data: bytes) -> Iterator[tuple[bytes, bytes]]:
-    """Name and content of each chunk of a PNG, its check sum checked."""
-    at = 8
-    while at < len(data):
-        (size,) = struct.unpack(">I", data[at : at + 4])
-        name, body = data[at + 4 : at + 8], data[at + 8 : at + 8 + size]
-        assert struct.unpack(">I", data[at + 8 + size : at + 12 + size])[0] == zlib.crc32(name + body)
-        yield name, body
-        at += 12 + size
 
 
 def read(folder: Path) -> list[dict[str, str]]:
@@ -131,19 +120,6 @@ def test_what_does_not_fit_is_named_with_its_part(made: Any) -> None:
         assert np.count_nonzero((picture == 0) | (picture == 255)) / 3 > 0.02 * picture.shape[0] * picture.shape[1]
         assert f"{row['file']} ({100 * part:.2g} %)" in done.err
     assert "grey levels only, not to 0.5" in done.err
-
-
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-@pytest.mark.parametrize("shape", [(5, 7), (5, 7, 3)])
-def test_a_png_keeps_its_numbers(dtype: Any, shape: tuple[int, ...], tmp_path: Path) -> None:
-    values = np.random.default_rng(1).integers(0, np.iinfo(dtype).max, shape).astype(dtype)
-    path = tmp_path / "a.png"
-    path.write_bytes(png(values, srgb=True))
-    back = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    np.testing.assert_array_equal(back[..., ::-1] if back.ndim == 3 else back, values)
-    names = [name for name, _ in chunks(path.read_bytes())]
-    assert names[0] == b"IHDR"
-    assert names.index(b"sRGB") < names.index(b"gAMA") < names.index(b"cHRM") < names.index(b"IDAT")
 
 
 def test_conditions_for_experiments(made: Any) -> None:

@@ -1,18 +1,22 @@
 """A file is there whole or not at all, and nothing is left beside it."""
 
 import errno
+import fcntl
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
-from lightstage.formats.whole_file import whole_file, write_whole
+from lightstage.formats.whole_file import PREFIX, whole_file, work_folder, write_whole
 
 
 def test_it_takes_its_name_when_it_is_whole(tmp_path: Path) -> None:
     path = tmp_path / "a.png"
     with whole_file(path) as beside:
         beside.write_bytes(b"half")
-        assert beside.suffix == ".png"  # by which writers choose a format
+        assert beside.name == "a.png"  # by which writers choose a format
         assert not path.exists()
     assert path.read_bytes() == b"half"
     assert list(tmp_path.iterdir()) == [path]
@@ -46,3 +50,57 @@ def test_a_folder_that_is_not_there_is_said(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError) as caught:
         write_whole(tmp_path / "no" / "a", b"")
     assert caught.value.filename == str(tmp_path / "no" / "a")
+
+
+KILLED = """
+import os, sys
+from pathlib import Path
+from lightstage.formats.whole_file import work_folder
+with work_folder(Path(sys.argv[1])) as work:
+    (work / "half").write_bytes(b"half of it")
+    os.kill(os.getpid(), 9)
+"""
+
+
+def test_what_a_killed_process_left_is_removed_by_the_next(tmp_path: Path) -> None:
+    subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)], timeout=60, check=False)
+    (left,) = tmp_path.glob(f"{PREFIX}*")
+    assert (left / "half").exists()
+    write_whole(tmp_path / "a", b"whole")
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
+
+
+def test_what_another_process_writes_and_what_is_not_ours_stays(tmp_path: Path) -> None:
+    (tmp_path / f"{PREFIX}notes.txt").write_text("a person's")
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    (outside / "kept").write_text("")
+    (tmp_path / f"{PREFIX}link").symlink_to(outside)
+    with work_folder(tmp_path) as first, work_folder(tmp_path) as second:
+        assert first != second
+        write_whole(tmp_path / "a", b"")
+        assert first.is_dir()
+        assert second.is_dir()
+    assert {path.name for path in tmp_path.iterdir()} == {"a", "outside", f"{PREFIX}link", f"{PREFIX}notes.txt"}
+    assert (outside / "kept").exists()
+
+
+def test_a_folder_that_was_taken_for_a_leftover_is_made_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another process comes between the making of a folder and its lock: it holds the lock, or has removed it."""
+    lock, taken = fcntl.flock, []
+
+    def late(descriptor: int, how: int) -> None:
+        if len(taken) == 0:
+            taken.append("held")
+            raise BlockingIOError(errno.EWOULDBLOCK, "held")
+        if len(taken) == 1:
+            taken.append("removed")
+            os.rmdir(os.readlink(f"/proc/self/fd/{descriptor}"))
+        lock(descriptor, how)
+
+    monkeypatch.setattr("fcntl.flock", late)
+    with work_folder(tmp_path) as work:
+        (work / "a").write_text("")
+    assert taken == ["held", "removed"]

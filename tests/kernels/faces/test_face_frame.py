@@ -63,7 +63,7 @@ def test_normals_turn_with_the_face() -> None:
 @pytest.mark.parametrize(("scale", "x", "y"), [(0.9, 150.0, 140.0), (1.3, 180.0, 130.0)])
 def test_a_head_is_found_where_it_was_put(scale: float, x: float, y: float) -> None:
     """The mean head itself, resampled: within 2 % of the eye distance, 0.75 pixels."""
-    from lightstage.cli.face_points import mean_face
+    from lightstage.products.face_points import mean_face
 
     template, eyes = mean_face()
     picture = np.full((3, 309, 406), np.nan, np.float32)
@@ -78,7 +78,7 @@ def test_a_head_is_found_where_it_was_put(scale: float, x: float, y: float) -> N
 
 
 def test_a_sphere_is_no_face() -> None:
-    from lightstage.cli.face_points import mean_face
+    from lightstage.products.face_points import mean_face
 
     y, x = (np.mgrid[:200, :200] - 100) / 80.0
     inside = x**2 + y**2 < 1

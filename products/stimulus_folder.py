@@ -10,25 +10,16 @@ points.yaml                 where the eyes are in the sessions' pictures, to be 
 recipe.json                 what the set was made from
 """
 
-import csv
 import hashlib
-import io
 import json
 import math
-import os
-import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from lightstage.formats.png import encode_png
-from lightstage.store.digest import SHORT, digest_value
-from lightstage.store.errors import RequestError, WorkError
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
+from lightstage.formats.tables import csv_of_records
+from lightstage.products.errors import ProductError
 
 COLUMNS = (
     "subject", "kind", "file", "file_16bit", "lights", "mean", "contrast", "rms", "mean_linear", "contrast_linear",
@@ -51,14 +42,9 @@ class Screen:
         return math.degrees(2 * math.atan(pixels / self.pixels_per_cm / 2 / self.distance_cm))
 
 
-def png(values: "NDArray[np.integer[Any]]", *, srgb: bool) -> bytes:
-    """A PNG that says what its numbers mean.
-
-    Args:
-        values: (y, x) grey or (y, x, rgb), uint8 or uint16.
-        srgb: encoded as sRGB; otherwise linear light.
-    """
-    return encode_png(values, light="srgb" if srgb else "linear")
+def manifest(files: Mapping[str, bytes]) -> dict[str, str]:
+    """The digest of everything in the folder, by name."""
+    return {name: sha256(data) for name, data in files.items()}
 
 
 def sha256(data: bytes) -> str:
@@ -72,7 +58,7 @@ def assemble(
     recipe: Mapping[str, Any],
     points: str,
     *,
-    jspsych: Path | None,
+    jspsych: Mapping[str, bytes],
 ) -> dict[str, bytes]:
     """Every file of the folder, by name.
 
@@ -81,67 +67,18 @@ def assemble(
         pictures: bytes by file name.
         recipe: goes into recipe.json.
         points: goes into points.yaml.
-        jspsych: a folder with a copy of jsPsych, which goes into the set; without it the page asks the network.
-
-    Raises:
-        RequestError: the folder has no jsPsych.
+        jspsych: of `jspsych_files`, goes into the set; without it the page asks the network.
     """
     files: dict[str, bytes] = dict(pictures)
-    files["stimuli.csv"] = _table(rows, COLUMNS)
+    files["stimuli.csv"] = csv_of_records(COLUMNS, rows)
     shown = [_condition(row) for row in rows]
-    files["conditions.csv"] = _table(shown, tuple(shown[0]))
+    files["conditions.csv"] = csv_of_records(tuple(shown[0]), shown)
     files["stimuli.js"] = f"const stimuli = {json.dumps(shown, indent=1)};\n".encode()
-    if jspsych is not None:
-        files |= _copied(jspsych)
-    files["experiment.html"] = _page(local=jspsych is not None).encode()
+    files |= jspsych
+    files["experiment.html"] = _page(local=bool(jspsych)).encode()
     files["points.yaml"] = points.encode()
     files["recipe.json"] = (json.dumps(recipe, indent=1, sort_keys=True) + "\n").encode()
     return files
-
-
-def manifest(files: Mapping[str, bytes]) -> str:
-    """Digest of everything in the folder."""
-    return digest_value({name: sha256(data) for name, data in files.items()})[:SHORT]
-
-
-def write_set(folder: Path, files: Mapping[str, bytes]) -> bool:
-    """Write the whole folder, or nothing; False if the same set is there. The folder's parent is made too.
-
-    Raises:
-        RequestError: something else is there.
-    """
-    if folder.exists():
-        if _same(folder, files):
-            return False
-        raise RequestError(f"{folder}: something is there already, and it is not this set; name a new folder")
-    part = folder.with_name(f".{folder.name}.part-{os.getpid()}")
-    try:
-        part.mkdir(parents=True)
-        for name, data in files.items():
-            path = part / name
-            path.parent.mkdir(exist_ok=True, parents=True)
-            path.write_bytes(data)
-        os.rename(part, folder)
-    except OSError as error:
-        raise WorkError(f"{folder} cannot be written ({error.strerror or error})") from None
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
-    return True
-
-
-def _same(folder: Path, files: Mapping[str, bytes]) -> bool:
-    return folder.is_dir() and all(
-        (folder / name).is_file() and (folder / name).read_bytes() == data for name, data in files.items()
-    )
-
-
-def _table(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> bytes:
-    text = io.StringIO()
-    writer = csv.DictWriter(text, columns, lineterminator="\n")
-    writer.writeheader()
-    for row in rows:
-        writer.writerow({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in row.items()})
-    return text.getvalue().encode()
 
 
 def _condition(row: Mapping[str, Any]) -> dict[str, Any]:
@@ -159,13 +96,18 @@ _LOCAL = {
 """What the page needs: the files' names in a release of jsPsych, and where npm puts them."""
 
 
-def _copied(source: Path) -> dict[str, bytes]:
+def jspsych_files(source: Path) -> dict[str, bytes]:
+    """A copy of jsPsych, by the names that it has in a set.
+
+    Raises:
+        ProductError: the folder has none.
+    """
     for places in (_LOCAL, _LOCAL.values()):
         found = [source / place for place in places]
         if all(path.is_file() for path in found):
             return {f"jspsych/{name}": path.read_bytes() for name, path in zip(_LOCAL, found, strict=True)}
-    raise RequestError(
-        f"--jspsych {source}: is no copy of jsPsych; expected a folder with {', '.join(_LOCAL)}, or one in which "
+    raise ProductError(
+        f"{source}: is no copy of jsPsych; expected a folder with {', '.join(_LOCAL)}, or one in which "
         f"`npm install {' '.join(JSPSYCH)}` was run"
     )
 
