@@ -184,6 +184,11 @@ class Stage:
     verdict: Callable[[Result], list[Finding]] | None = None
     """What somebody who acts on the result should know."""
 
+    tells: tuple[str, ...] = ()
+    """The attributes of its result that a run tells, in this order."""
+    doubts: Mapping[str, str] = field(default_factory=dict)
+    """What a run warns of where an attribute that is true or not for each block (1 or 0) is not 1 for all."""
+
     @property
     def is_source(self) -> bool:
         """Whether the stage brings in a session instead of computing."""
