@@ -3,7 +3,8 @@
 from pathlib import Path
 
 import pytest
-from lightstage.cli.deliver import keep_picture
+
+from lightstage.api.pictures import keep_picture
 
 
 def test_a_picture_is_drawn_when_what_it_shows_has_changed(tmp_path: Path) -> None:
