@@ -121,7 +121,7 @@ class OpenStore:
 
         folders = [Path(part) for part in ([folder] if isinstance(folder, str | Path) else folder)]
         read_captures(folders)  # a typo in it must not even make a store
-        store = self.made()
+        store = self.create()
         store.scratch.sweep()
         done = import_capture(folders if len(folders) > 1 else folders[0], store, name=session, progress=progress)
         store.scratch.leave()
@@ -153,7 +153,7 @@ class OpenStore:
         """
         from lightstage.api.virtual_rig import Head, capture_head, keep_truth
 
-        folder = capture_head(self.made(), Head(session, **options))
+        folder = capture_head(self.create(), Head(session, **options))
         imported = self.import_capture(folder).session
         keep_truth(self.opened, imported.name, folder)
         return imported
@@ -175,7 +175,7 @@ class OpenStore:
 
         return gc(self.opened, grace_s=grace_s, dry_run=dry_run)
 
-    def made(self) -> Store:
+    def create(self) -> Store:
         """What lies under it, made where there is none yet."""
         if not self.opened.id:
             self.opened = Store(self.root)

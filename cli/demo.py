@@ -95,7 +95,7 @@ def _head(options: argparse.Namespace) -> Head:
 
 
 def _target(target: str, head: Head, store: OpenStore, screen: Screen) -> int:
-    folder = capture_target(store.made(), target, head, screen.say)
+    folder = capture_target(store.create(), target, head, screen.say)
     item = TARGETS[target]
     screen.say(f"capture: {folder}")
     screen.say(f"`lightstage calibrate {item} --from {folder} --report` measures it")
@@ -107,7 +107,7 @@ def head_session(store: OpenStore, screen: Screen, head: Head) -> OpenSession:
     """The session of a head that the virtual rig captures, unless the same capture is there."""
     from lightstage.cli.sessions import import_folder
 
-    folder = capture_head(store.made(), head, screen.say)
+    folder = capture_head(store.create(), head, screen.say)
     session = import_folder(folder, store, screen).session
     keep_truth(store.opened, session.name, folder)
     return session

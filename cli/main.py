@@ -140,8 +140,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except LightstageError as error:
         return _failed(error, error.exit_code, screen, words)
     except KeyboardInterrupt:
-        told = RequestError("stopped; what was finished is kept, and the next run goes on from there")
-        return _failed(told, 130, screen, words)
+        stop = RequestError("stopped; what was finished is kept, and the next run goes on from there")
+        return _failed(stop, 130, screen, words)
     except BrokenPipeError:
         screen.close()
         return 1

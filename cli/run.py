@@ -102,7 +102,7 @@ def say_answer(answer: Answer, screen: Screen) -> dict[str, Any]:
         screen.warn(note)
     say_nodes(answer, screen)
     for name, node in answer.nodes.items():
-        for key, value in node.told.items():
+        for key, value in node.remarks.items():
             shown = f"{value:.1f}" if isinstance(value, float) else value
             screen.say(f"{name}: {key.replace('_', ' ')}: {shown}")
         for sentence in node.warnings[:_MOST_WARNINGS]:

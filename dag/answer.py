@@ -38,8 +38,8 @@ class NodeAnswer:
     seconds: float
     """Time in kernels and writing, summed over threads."""
     bytes: int
-    told: Mapping[str, Any]
-    """The attributes that the stage wants told."""
+    remarks: Mapping[str, Any]
+    """The attributes that its stage wants shown."""
     warnings: tuple[str, ...]
 
 
@@ -196,7 +196,7 @@ def _record(plan: "Plan", results: "Mapping[str, NodeResult]") -> dict[str, Any]
             "folder": None if result.path is None else result.path.name,
             "blocks": result.computed + result.reused,
             "bytes": result.size,
-            "told": {key: result.attrs[key] for key in stage.tells if key in result.attrs},
+            "remarks": {key: result.attrs[key] for key in stage.remarks if key in result.attrs},
             "warnings": [
                 *(sentence for key, sentence in stage.doubts.items() if result.attrs.get(key, 1) < 1),
                 *result.attrs.get("warnings", ()),
@@ -223,7 +223,7 @@ def _answer(
             reused=node["blocks"] - computed,
             seconds=seconds,
             bytes=node["bytes"],
-            told=node["told"],
+            remarks=node["remarks"],
             warnings=tuple(node["warnings"]),
         )
     return Answer(record["session"], nodes, elapsed, notes)

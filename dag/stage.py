@@ -184,8 +184,8 @@ class Stage:
     verdict: Callable[[Result], list[Finding]] | None = None
     """What somebody who acts on the result should know."""
 
-    tells: tuple[str, ...] = ()
-    """The attributes of its result that a run tells, in this order."""
+    remarks: tuple[str, ...] = ()
+    """The attributes of its result that a run shows, in this order."""
     doubts: Mapping[str, str] = field(default_factory=dict)
     """What a run warns of where an attribute that is true or not for each block (1 or 0) is not 1 for all."""
 

@@ -691,7 +691,7 @@ STAGE = Stage(
     version=1,
     summary="the pictures of each set, brought to their tracking frame",
     params=AlignParams,
-    tells=("engine", "cannot_be_made"),
+    remarks=("engine", "cannot_be_made"),
     inputs={"radiance": Input("radiance", ("illumination|frame", "band", "component", "y", "x"), "group")},
     outputs={
         "flow": Output(

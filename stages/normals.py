@@ -408,7 +408,7 @@ STAGE = Stage(
     version=1,
     summary="surface normals",
     params=NormalsParams,
-    tells=("method", "note", "distance_mm"),
+    remarks=("method", "note", "distance_mm"),
     doubts={
         "distance_found": "the norm does not tell the distance in every tracking frame; the stage's centre was "
         "taken there, so check the lights and camera items"

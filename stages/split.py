@@ -88,7 +88,7 @@ STAGE = Stage(
     version=1,
     summary="diffuse and specular components",
     params=SplitParams,
-    tells=("cannot_be_made",),
+    remarks=("cannot_be_made",),
     inputs={"signal": Input("signal", ("frame", "band", "polarisation", "y", "x"))},
     outputs={"signal": Output(("frame", "band", "component", "y", "x"), "float32", attrs={"units": "counts"})},
     blocks=("frame", "band"),

@@ -161,7 +161,7 @@ STAGE = Stage(
     version=1,
     summary="normals at every picture",
     params=UpsampleParams,
-    tells=("method",),
+    remarks=("method",),
     inputs={
         "normal": Input("normal", ("tracking", "band", "xyz", "y", "x"), "group"),
         "albedo": Input("albedo", ("tracking", "band", "y", "x"), "group"),
