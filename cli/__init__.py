@@ -9,7 +9,7 @@
     look.py       status, why, graph, path
     keep.py       verify, gc, upgrade
     calibrate.py  calibrate
-    sequence.py   sequence: what to show, image by image
+    sequence.py   sequence: what to show, image by image; times.py has the options of its times
     demo.py       demo: the virtual rig as a capture
 
     alignment.py  alignment: one set before and after

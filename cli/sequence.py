@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lightstage.cli.show import Screen
+from lightstage.cli.times import add_timing, timing_of
 from lightstage.cli.values import number, whole
 from lightstage.store.errors import RequestError
 
 if TYPE_CHECKING:
-    from lightstage.api.sequences import Plan, Timing, TrackingFrame
+    from lightstage.api.sequences import Plan, TrackingFrame
 
 _SHOWN = 3
 """Views of flicker that a person is told of; --json has all."""
@@ -49,7 +50,7 @@ def configure(commands: Any) -> None:
                 help="wavelengths in the order of the wheel",
             )
             make.add_argument("--wheel-ms", type=number, metavar="MS", help="one turn of the filter wheel")
-        _add_timing(make)
+        add_timing(make)
         make.add_argument(
             "--accept-flashing",
             metavar="TEXT",
@@ -63,22 +64,12 @@ def configure(commands: Any) -> None:
     check.add_argument(
         "sequence", nargs="+", metavar="SEQUENCE|FILE|FOLDER", help='"X Z C Y Xc", or a capture.yaml'
     )
-    _add_timing(check)
+    add_timing(check)
     check.set_defaults(handler=handle_check)
     count = actions.add_parser("count", help="images needed against tracking frames")
     count.add_argument("--upto", type=whole, default=12, metavar="N", help="tracking frames (default: 12)")
     count.add_argument("--plot", type=Path, metavar="FILE.png", help="draw it as well")
     count.set_defaults(handler=handle_count)
-
-
-def _add_timing(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--exposure-ms", type=number, metavar="MS", help="of one picture")
-    parser.add_argument("--setup-ms", type=number, metavar="MS", help="to set up the lights (default: 0)")
-    parser.add_argument("--readout-ms", type=number, metavar="MS", help="to read out the camera (default: 0)")
-    parser.add_argument(
-        "--overlap", action="store_true", help="the camera reads out while the next lights are set up"
-    )
-    parser.add_argument("--dark-pauses", action="store_true", help="the lights go off between exposures")
 
 
 def handle_make(options: argparse.Namespace, screen: Screen) -> int:
@@ -90,7 +81,7 @@ def handle_make(options: argparse.Namespace, screen: Screen) -> int:
     }
     if options.kind == "multispectral":
         choice["bands_nm"] = _bands(options.bands)
-    planned = plan(options.kind, timing=_timing(options), **choice)
+    planned = plan(options.kind, timing=timing_of(options), **choice)
     if planned.timing is None and options.kind in PERFORMANCES and options.to:
         raise RequestError(
             "--to: a performance needs its times; give --exposure-ms, and the rig's --setup-ms and --readout-ms"
@@ -125,7 +116,7 @@ def handle_check(options: argparse.Namespace, screen: Screen) -> int:
     from lightstage.api.sequences import flash_sentence, judge, read_sequence
 
     names, rate = read_sequence(options.sequence)
-    planned, unjudged = judge(names, _timing(options, rate))
+    planned, unjudged = judge(names, timing_of(options, rate))
     if unjudged is not None:
         screen.warn(f"whether it flashes was not judged: {unjudged}")
     records = planned.tracking
@@ -174,29 +165,6 @@ def _bands(text: str) -> tuple[int, ...]:
     if not re.fullmatch(r"[0-9]{1,5}(,[0-9]{1,5})*", text):
         raise RequestError(f"--bands {text}: expected wavelengths in nm, such as 434,576")
     return tuple(int(band) for band in text.split(","))
-
-
-def _timing(options: argparse.Namespace, rate_hz: float | None = None) -> "Timing | None":
-    """From the options; else, when a capture says its frame rate, from that; else none."""
-    from lightstage.api.sequences import timing
-
-    wheel = getattr(options, "wheel_ms", None)
-    if options.exposure_ms is None:
-        given = {"--setup-ms": options.setup_ms, "--readout-ms": options.readout_ms, "--wheel-ms": wheel}
-        stray = [name for name, value in given.items() if value is not None]
-        switches = {"--overlap": options.overlap, "--dark-pauses": options.dark_pauses}
-        stray += [name for name, value in switches.items() if value]
-        if stray:
-            raise RequestError(f"{stray[0]} stands alone; --exposure-ms is needed for times")
-        return None if rate_hz is None else timing(exposure_ms=1000 / rate_hz)
-    return timing(
-        exposure_ms=options.exposure_ms,
-        setup_ms=options.setup_ms or 0.0,
-        readout_ms=options.readout_ms or 0.0,
-        wheel_ms=wheel or 0.0,
-        overlap=options.overlap,
-        dark_pauses=options.dark_pauses,
-    )
 
 
 def _accepted(text: str | None, planned: "Plan", screen: Screen) -> str | None:
