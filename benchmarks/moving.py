@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from benchmarks.accuracy import DOCS, angle
 from benchmarks.pages import put
 from benchmarks.pipeline import ROOT, command, timed
-from lightstage.kernels.encodings import NORMAL_FILL, NORMAL_STEPS
 from lightstage.kernels.motion.flow_warp import warp
 from lightstage.kernels.normals import quantised, spherical_gradients
 from lightstage.kernels.normals.gradient_methods import table

@@ -1,6 +1,6 @@
-"""The `lightstage` command: one file a command family; the only place that joins everything.
+"""The `lightstage` command: one file a command family; reads arguments, calls `api`, prints.
 
-    main.py       the parser, the errors and the exit codes
+    main.py       the table of commands, the errors and the exit codes
     show.py       what a person sees: tables, progress, warnings
     values.py     numbers given as options
 
@@ -8,20 +8,17 @@
     run.py        run, normals, performance
     look.py       status, why, graph, path
     keep.py       verify, gc, upgrade
-    calibrate.py  calibrate, with calibration_report.py
-    sequence.py   sequence: what to show, image by image
+    calibrate.py  calibrate
+    sequence.py   sequence: what to show, image by image; times.py has the options of its times
     demo.py       demo: the virtual rig as a capture
 
-    sheet.py      the contact sheet
     alignment.py  alignment: one set before and after
-    export.py     export, with film.py and mesh.py
+    export.py     export: pictures, films, meshes
     skin.py       skin: pigment maps and spectra
     shape.py      shape: from a capture to a mesh
     stimuli.py    stimuli: matched sets, with stimulus_options.py and face_points.py
     material.py   material: maps and a mesh for renderers
     relight.py    relight: the subject under other lights
-    deliver.py    where products go
-    refusals.py   what a product refuses, as a request that was wrong
 
-Modules are imported when their command is used: a fully cached run must not pay for the others.
+A module is imported when its command is used: a fully cached run must not pay for the others.
 """

@@ -5,12 +5,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from lightstage.cli.refusals import refusals
+from lightstage.api.refusals import refusals
+from lightstage.api.stores import open_store
 from lightstage.cli.show import Screen
 from lightstage.cli.values import whole
 from lightstage.products import choices, names
 from lightstage.store.errors import RequestError
-from lightstage.store.root import Store
 
 
 def configure(commands: Any) -> None:
@@ -37,15 +37,13 @@ def handle_alignment(options: argparse.Namespace, screen: Screen) -> int:
     from lightstage.formats.whole_file import write_whole
     from lightstage.products.alignment import chosen_points, read_set, residual_of
     from lightstage.products.alignment_page import box, draw
-    from lightstage.store.grid import open_dataset
-    from lightstage.store.results import current_path
-    from lightstage.store.sessions import read_session
 
-    store = Store(options.store, create=False)
-    session = read_session(options.session, store).name
+    store = open_store(options.store)
+    opened = store.session(options.session)
+    session = opened.name
     if options.to is not None and options.to.suffix.lower() != ".png":
         raise RequestError(f"--to {options.to}: the picture is a PNG; name a file that ends in .png")
-    result, stack = (open_dataset(current_path(session, node, store)) for node in ("align", "stack"))
+    result, stack = (opened.open(node) for node in ("align", "stack"))
     with refusals():
         aligned = read_set(session, result, stack, options.tracking)
     height, width = aligned.middle.captured.shape

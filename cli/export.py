@@ -1,26 +1,19 @@
 """export: a node's pictures as PNG, EXR or NPY, for tools that do not read zarr; its normals as a film, its depth
-as meshes.
-
-A file that is in the way is replaced only where `export.json` beside it says that an export of the same node and
-session left it so.
-"""
+as meshes."""
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lightstage.cli import film, mesh
-from lightstage.cli.deliver import exported
-from lightstage.cli.refusals import refusals
+from lightstage.api.stores import OpenSession, open_store
 from lightstage.cli.show import Screen
 from lightstage.cli.values import number, whole
 from lightstage.products import choices
 from lightstage.store.errors import RequestError
-from lightstage.store.root import Store
 
 if TYPE_CHECKING:
-    from lightstage.store.sessions import Session
+    from lightstage.products.film import Film
 
 
 def configure(commands: Any) -> None:
@@ -60,10 +53,7 @@ def configure(commands: Any) -> None:
 
 def handle_export(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage export."""
-    from lightstage.cli.look import brings_in
-    from lightstage.store.grid import open_dataset
-    from lightstage.store.results import current_path
-    from lightstage.store.sessions import raw_group, read_session
+    from lightstage.api.exports import map_space
 
     if options.fps is not None and options.format not in choices.FILMS:
         raise RequestError(
@@ -76,70 +66,103 @@ def handle_export(options: argparse.Namespace, screen: Screen) -> int:
         )
     if options.normal_map is not None and not meshes:
         raise RequestError(f"--normal-map {options.normal_map}: only a mesh has it; choose --format obj or glb")
-    space = mesh.map_space(options.format, options.normal_map) if meshes else None
-    store = Store(options.store, create=False)
-    session = read_session(options.session, store)
-    if brings_in(session.name, options.node, store, options.pipeline):
-        path = raw_group(session, store)
-    else:
-        path = current_path(session.name, options.node, store)
-    dataset = open_dataset(path)
+    space = map_space(options.format, options.normal_map) if meshes else None
+    session = open_store(options.store).session(options.session)
     if meshes:
-        camera = mesh.camera_of(dataset, options.node, session, store)
+        dataset = session.open(options.node, pipeline=options.pipeline)
+        every = options.every or 1
         screen.document(
-            mesh.deliver_meshes(
-                dataset, camera, options.node, session, options.to, screen, store,
-                form=options.format, every=options.every or 1, space=space,
+            deliver_meshes(
+                session, options.node, dataset, options.to, screen, form=options.format, every=every, space=space
             )
-        )  # fmt: skip
+        )
     elif options.format in choices.FILM_FORMATS:
-        screen.document(_export_films(dataset, session, options, screen))
+        screen.document(_films(session, options, screen))
     else:
-        screen.document(_export_planes(dataset, session.name, options, screen))
+        screen.document(_planes(session, options, screen))
     return 0
 
 
-def _export_films(
-    dataset: Any, session: "Session", options: argparse.Namespace, screen: Screen
-) -> Mapping[str, Any]:
-    """The normals in time; returns what is answered."""
-    from lightstage.products.film import check, file_names, write_series
+def _planes(session: OpenSession, options: argparse.Namespace, screen: Screen) -> dict[str, Any]:
+    """Every array as pictures; returns what is answered."""
+    files = session.export(
+        options.node,
+        options.to,
+        format=options.format,
+        convention=options.convention,
+        pipeline=options.pipeline,
+        progress=screen.progress,
+    )
+    screen.say(f"{len(files)} pictures of {options.node} ({session.name}) in {options.to}")
+    return {"files": _texts(files), "convention": options.convention, "format": options.format}
 
-    every = film.series_of(dataset, options.node, session)
-    with refusals():
-        check(every, options.format, options.fps)
-    names = file_names(every, options.format)
-    films = []
-    with refusals(), exported(options.to, session.name, options.node, names) as export:
-        for one_film in write_series(
-            export.work, every,
-            form=options.format, convention=options.convention, fps=options.fps, progress=screen.progress,
-        ):  # fmt: skip
-            export.add(one_film.files)
-            films.append(one_film)
-            film.say_film(one_film, options.node, session.name, options.to, screen)
+
+def _films(session: OpenSession, options: argparse.Namespace, screen: Screen) -> dict[str, Any]:
+    """The normals in time; returns what is answered."""
+    from lightstage.api.exports import export_films
+
+    done = export_films(
+        session.open(options.node, pipeline=options.pipeline),
+        options.node,
+        session.read(),
+        options.to,
+        form=options.format,
+        convention=options.convention,
+        fps=options.fps,
+        progress=screen.progress,
+    )
+    for film in done.films:
+        say_film(film, options.node, session.name, options.to, screen)
     if options.format in choices.FILMS:
-        for file in export.files:
+        for file in done.files:
             screen.say(f"film: {file}")
     return {
-        "files": export.files,
+        "files": _texts(done.files),
         "convention": options.convention,
         "format": options.format,
-        "fps": films[-1].fps,
-        "change_top_deg": [one_film.top_deg for one_film in films],
+        "fps": done.films[-1].fps,
+        "change_top_deg": [film.top_deg for film in done.films],
     }
 
 
-def _export_planes(dataset: Any, session: str, options: argparse.Namespace, screen: Screen) -> Mapping[str, Any]:
-    """Every array as pictures; returns what is answered."""
-    from lightstage.products.planes import plane_names, planes, suffix, write_plane
+def say_film(film: "Film", node: str, session: str, folder: Path, screen: Screen) -> None:
+    """What was written."""
+    scale = f"the scale of the change ends at {film.top_deg:g} degrees"
+    if film.pace is not None:
+        screen.say(f"{film.frames} frames at {film.pace}; {scale}")
+    else:
+        screen.say(f"{film.frames} pictures of {node} ({session}) in {folder}; {scale}")
 
-    names = [f"{name}.{suffix(options.format)}" for name in plane_names(dataset)]
-    with refusals(), exported(options.to, session, options.node, names) as export:
-        for plane in screen.progress(planes(dataset), len(names), "pictures"):
-            name = write_plane(
-                export.work, plane, form=options.format, convention=options.convention, attrs=dataset.attrs
-            )
-            export.add([name])
-    screen.say(f"{len(export.files)} pictures of {options.node} ({session}) in {options.to}")
-    return {"files": export.files, "convention": options.convention, "format": options.format}
+
+def deliver_meshes(
+    session: OpenSession,
+    node: str,
+    dataset: Any,
+    folder: Path,
+    screen: Screen,
+    *,
+    form: str,
+    every: int,
+    space: str | None,
+) -> dict[str, Any]:
+    """The meshes of a node's tracking frames; returns what is answered."""
+    from lightstage.api.exports import export_meshes
+
+    files = export_meshes(
+        dataset,
+        node,
+        session.read(),
+        folder,
+        session.opened,
+        form=form,
+        every=every,
+        space=space,
+        progress=screen.progress,
+    )
+    unit = "metres" if form == "glb" else "millimetres"
+    screen.say(f"{dataset.sizes['tracking']} meshes of {node} ({session.name}) in {folder}, in {unit}")
+    return {"files": _texts(files), "format": form, "unit": unit, "normal_map": space}
+
+
+def _texts(files: Sequence[Path]) -> list[str]:
+    return [str(file) for file in files]

@@ -4,10 +4,10 @@ import argparse
 import re
 from typing import Any
 
+from lightstage.api.stores import FORMAT, open_store, upgrade
 from lightstage.cli.show import Screen
+from lightstage.sizes import human_size
 from lightstage.store.errors import DamagedChunkError, DamagedGroupError, RequestError, WorkError
-from lightstage.store.files import human_size
-from lightstage.store.root import Store
 
 _GRACE = re.compile(r"([0-9]{1,6})([smhd]?)")
 _SECONDS = {"s": 1, "m": 60, "h": 3600, "d": 86400, "": 1}
@@ -29,10 +29,7 @@ def configure(commands: Any) -> None:
 
 def handle_verify(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage verify."""
-    from lightstage.store.verify import verify
-
-    store = Store(options.store, create=False)
-    report = verify(store, progress=screen.progress)
+    report = open_store(options.store).verify(progress=screen.progress)
     for damage in report.damaged:
         screen.say(f"damaged: {damage.path}: belongs to {damage.belongs_to}; {damage.remedy}")
     for path in report.strange:
@@ -62,11 +59,9 @@ def set_aside(damage: DamagedChunkError | DamagedGroupError, options: argparse.N
     Raises:
         WorkError: the command cannot do that; says which one can.
     """
-    from lightstage.store.verify import verify
-
     screen.warn(f"{damage}; looking through the store")
     try:
-        found = verify(Store(options.store, create=False)).damaged
+        found = open_store(options.store).verify().damaged
     except WorkError as error:
         raise WorkError(f"{damage}, and cannot be mended: {error}") from None
     for one in found:
@@ -82,13 +77,11 @@ def set_aside(damage: DamagedChunkError | DamagedGroupError, options: argparse.N
 
 def handle_gc(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage gc."""
-    from lightstage.store.gc import gc
-
     match = _GRACE.fullmatch(options.grace)
     if not match:
         raise RequestError(f"--grace {options.grace}: expected a time such as 90s, 30m, 12h or 7d")
     grace = int(match[1]) * _SECONDS[match[2]]
-    freed = gc(Store(options.store, create=False), grace_s=grace, dry_run=options.dry_run)
+    freed = open_store(options.store).gc(grace_s=grace, dry_run=options.dry_run)
     verb = "would free" if options.dry_run else "freed"
     screen.say(
         f"{verb} {human_size(freed.size)}: {freed.chunks} chunks, {freed.records} records, "
@@ -109,9 +102,6 @@ def handle_gc(options: argparse.Namespace, screen: Screen) -> int:
 
 def handle_upgrade(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage upgrade."""
-    from lightstage.store.marker import FORMAT
-    from lightstage.store.upgrade import upgrade
-
     done = upgrade(options.store, progress=screen.progress)
     for line in done.left:
         screen.say(f"not carried over: {line}")

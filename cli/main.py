@@ -4,24 +4,20 @@ Exit codes: 0 done, 1 the work failed, 2 the request was wrong. An error is one 
 only with --debug.
 """
 
+import argparse
+import contextlib
+import errno
 import os
+import re
 import sys
+from collections.abc import Sequence
+from importlib import import_module
+from typing import Any, NoReturn
 
-# Dask has the threads; those of OpenBLAS and OpenMP would multiply with them. Before anything imports numpy.
-for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
-    os.environ.setdefault(_name, "1")
-
-import argparse  # noqa: E402
-import contextlib  # noqa: E402
-import errno  # noqa: E402
-import re  # noqa: E402
-from collections.abc import Sequence  # noqa: E402
-from importlib import import_module  # noqa: E402
-from typing import Any, NoReturn  # noqa: E402
-
-from lightstage.cli.show import Screen, written  # noqa: E402
-from lightstage.compiled import folder, offer  # noqa: E402
-from lightstage.store.errors import (  # noqa: E402
+from lightstage import __version__
+from lightstage.cli.show import Screen, written
+from lightstage.compiled import folder, offer
+from lightstage.store.errors import (
     DamagedChunkError,
     DamagedGroupError,
     LightstageError,
@@ -29,23 +25,32 @@ from lightstage.store.errors import (  # noqa: E402
     WorkError,
 )
 
-VERSION = "0.1.0"
-FAMILIES = (
-    "run",
-    "sessions",
-    "calibrate",
-    "look",
-    "keep",
-    "export",
-    "demo",
-    "sequence",
-    "alignment",
-    "skin",
-    "shape",
-    "material",
-    "relight",
-    "stimuli",
-)
+COMMANDS = {
+    "run": "run",
+    "normals": "run",
+    "performance": "run",
+    "import": "sessions",
+    "sessions": "sessions",
+    "calibration": "sessions",
+    "calibrate": "calibrate",
+    "status": "look",
+    "why": "look",
+    "graph": "look",
+    "path": "look",
+    "verify": "keep",
+    "gc": "keep",
+    "upgrade": "keep",
+    "export": "export",
+    "demo": "demo",
+    "sequence": "sequence",
+    "alignment": "alignment",
+    "skin": "skin",
+    "shape": "shape",
+    "material": "material",
+    "relight": "relight",
+    "stimuli": "stimuli",
+}
+"""Every command, and the module of this folder that has it, which is imported for it alone."""
 
 
 class _Parser(argparse.ArgumentParser):
@@ -75,12 +80,12 @@ class _Parser(argparse.ArgumentParser):
         )
 
 
-def build_parser() -> argparse.ArgumentParser:
-    """The parser of all commands; each family adds its own."""
+def build_parser(words: Sequence[str] = ()) -> argparse.ArgumentParser:
+    """The parser of the command that is named first among the words, or of all commands where none is."""
     parser = _Parser(
         prog="lightstage", description="Surface normals and reflectance from a multispectral light stage."
     )
-    parser.add_argument("--version", action="version", version=f"lightstage {VERSION}")
+    parser.add_argument("--version", action="version", version=f"lightstage {__version__}")
     parser.add_argument(
         "--store",
         default=os.environ.get("LIGHTSTAGE_STORE", "data"),
@@ -89,8 +94,9 @@ def build_parser() -> argparse.ArgumentParser:
     )
     _common(parser, default=False)
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", parser_class=_Parser)
-    for family in FAMILIES:
-        import_module(f"lightstage.cli.{family}").configure(commands)
+    family = COMMANDS.get(_first_command(words))
+    for module in dict.fromkeys(COMMANDS.values()) if family is None else [family]:
+        import_module(f"lightstage.cli.{module}").configure(commands)
     for command in commands.choices.values():
         _common(command, default=argparse.SUPPRESS)
         for action in command._actions:
@@ -98,6 +104,19 @@ def build_parser() -> argparse.ArgumentParser:
                 for inner in action.choices.values():
                     _common(inner, default=argparse.SUPPRESS)
     return parser
+
+
+def _first_command(words: Sequence[str]) -> str:
+    """The first word that is no option; empty where help is asked for before it, which is about all commands."""
+    rest = iter(words)
+    for word in rest:
+        if word == "--store":
+            next(rest, None)
+        elif word in ("-h", "--help"):
+            return ""
+        elif not word.startswith("-"):
+            return word
+    return ""
 
 
 def _common(parser: argparse.ArgumentParser, *, default: object) -> None:
@@ -121,8 +140,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except LightstageError as error:
         return _failed(error, error.exit_code, screen, words)
     except KeyboardInterrupt:
-        told = RequestError("stopped; what was finished is kept, and the next run goes on from there")
-        return _failed(told, 130, screen, words)
+        stop = RequestError("stopped; what was finished is kept, and the next run goes on from there")
+        return _failed(stop, 130, screen, words)
     except BrokenPipeError:
         screen.close()
         return 1
@@ -149,7 +168,7 @@ def _command(words: Sequence[str], screen: Screen) -> int:
         if re.fullmatch(r"--[\w-]+=--", word):  # of which argparse makes an empty list
             raise RequestError(f"{word}: '--' is no value")
     try:
-        options = build_parser().parse_args(words)
+        options = build_parser(words).parse_args(words)
     except SystemExit as done:  # --help and --version have said what was asked for
         return int(done.code or 0)
     if options.command is None:

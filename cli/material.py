@@ -1,20 +1,19 @@
 """material: what a renderer needs of a subject, as EXR maps and as a GLB with a glTF PBR material."""
 
 import argparse
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lightstage.cli.refusals import refusals
-from lightstage.cli.run import add_run_options, override_items, paths_of, run_session, session_of
+from lightstage.api.refusals import refusals
+from lightstage.api.stores import open_store
+from lightstage.cli.run import add_run_options, answered, request_of, say_answer, session_given
 from lightstage.cli.show import Screen
 from lightstage.cli.values import whole
 from lightstage.products import choices, names
 from lightstage.store.errors import RequestError
-from lightstage.store.root import Store
 
 if TYPE_CHECKING:
-    from lightstage.products.material import Material
+    pass
 
 
 def configure(commands: Any) -> None:
@@ -34,7 +33,7 @@ def configure(commands: Any) -> None:
 
 def handle_material(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage material."""
-    from lightstage.cli.demo import demo_session
+    from lightstage.api.subjects import material_nodes, material_of
     from lightstage.formats.whole_set import WholeSet
     from lightstage.products.material import document, write_material
 
@@ -42,14 +41,16 @@ def handle_material(options: argparse.Namespace, screen: Screen) -> int:
     wrong = [form for form in formats if form not in choices.MATERIAL_FORMATS]
     if wrong:
         raise RequestError(f"--format {options.format}: '{wrong[0]}' is not known; expected exr, glb or exr,glb")
-    store = Store(options.store)
-    options.session = session_of(options.session, store, screen) if options.session else demo_session(store, screen)
-    nodes = nodes_of(options.session, store)
-    delivery = WholeSet(options.to, names.MATERIAL_RECORD, of={"session": options.session})
+    store = open_store(options.store)
+    session = session_given(options.session, store, screen)
+    nodes = material_nodes(session.read())
+    delivery = WholeSet(options.to, names.MATERIAL_RECORD, of={"session": session.name})
     with refusals():
         delivery.claim(names.material(formats, glossy="gloss" in nodes))
-    summary = run_session(options, store, screen, nodes)
-    material = material_of(options, store, paths_of(summary, nodes, options.session))
+    request = request_of(options, session.name, nodes)
+    answer = answered(store, request, options, screen)
+    summary = say_answer(answer, screen)
+    material = material_of(answer, request, session.read(), store.opened, tracking=options.tracking)
     with refusals(), delivery.making() as work:
         files = write_material(work, material, formats)
         entries = {name: {**entry, "results": dict(material.recipes)} for name, entry in files.items()}
@@ -67,36 +68,3 @@ def handle_material(options: argparse.Namespace, screen: Screen) -> int:
         {**summary, "files": [str(file) for file in made], "material": {**document(material), "files": files}}
     )
     return 0
-
-
-def nodes_of(session: str, store: Store) -> tuple[str, ...]:
-    """What has to be run: gloss needs both polarisations."""
-    from lightstage.products.material import GLOSS_NODES, NODES
-    from lightstage.store.sessions import read_session
-
-    polarised = {"parallel", "cross"} <= set(read_session(session, store).polarisations)
-    return (*NODES, *GLOSS_NODES) if polarised else NODES
-
-
-def material_of(options: argparse.Namespace, store: Store, paths: Mapping[str, Path]) -> "Material":
-    """The subject, by the results at `paths`.
-
-    Raises:
-        RequestError: there is no such tracking frame, or nothing is known of the subject.
-    """
-    from lightstage.dag.plan import bound_items
-    from lightstage.products.material import read_material
-    from lightstage.store.grid import open_dataset
-    from lightstage.store.sessions import read_session
-
-    session = read_session(options.session, store)
-    items = bound_items(session, store, override_items(options.calibration, store))
-    with refusals():
-        return read_material(
-            {node: open_dataset(path) for node, path in paths.items()},
-            {node: path.name for node, path in paths.items()},
-            items["camera"].values,
-            items["bands"].values["bands"] if "bands" in items else (),
-            session=session.name,
-            tracking=options.tracking,
-        )

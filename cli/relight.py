@@ -9,14 +9,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lightstage.cli.material import material_of, nodes_of
-from lightstage.cli.refusals import refusals
-from lightstage.cli.run import add_run_options, override_items, paths_of, run_session, session_of
+from lightstage.api.refusals import refusals
+from lightstage.api.stores import open_store
+from lightstage.cli.run import add_run_options, answered, request_of, say_answer, session_given
 from lightstage.cli.show import Screen
 from lightstage.cli.values import number, whole
 from lightstage.products import choices, names
 from lightstage.store.errors import RequestError
-from lightstage.store.root import Store
 
 if TYPE_CHECKING:
     from lightstage.products.light_setups import Distant, Setup
@@ -75,26 +74,27 @@ def configure(commands: Any) -> None:
 
 def handle_relight(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage relight."""
-    from lightstage.cli.demo import demo_session
+    from lightstage.api.subjects import material_nodes, material_of, opened, own_lights
     from lightstage.formats.whole_set import WholeSet
     from lightstage.products import relit
-    from lightstage.store.grid import open_dataset
 
     _check(options)
     together = _together(options)
-    store = Store(options.store)
-    options.session = session_of(options.session, store, screen) if options.session else demo_session(store, screen)
-    setups = [*together, *_leds(options, store)]
-    delivery = WholeSet(options.to, names.RELIGHT_RECORD, of={"session": options.session})
+    store = open_store(options.store)
+    session = session_given(options.session, store, screen)
+    nodes = material_nodes(session.read())
+    request = request_of(options, session.name, nodes)
+    setups = [*together, *own_lights(options.led, request, store.opened)]
+    delivery = WholeSet(options.to, names.RELIGHT_RECORD, of={"session": session.name})
     with refusals():
         delivery.claim(names.relit([setup.name for setup in setups], turns=bool(options.turn)))
-    nodes = nodes_of(options.session, store)
-    summary = run_session(options, store, screen, nodes)
-    paths = paths_of(summary, (*nodes, "stack"), options.session)
-    material = material_of(options, store, {node: paths[node] for node in nodes})
+    answer = answered(store, request, options, screen)
+    summary = say_answer(answer, screen)
+    stack = opened(answer, ("stack",))["stack"]
+    material = material_of(answer, request, session.read(), store.opened, tracking=options.tracking)
     with refusals(), delivery.making() as work:
         surface = relit.surface_of(material)
-        taken = relit.own_pictures(material, setups, open_dataset(paths["stack"])) if options.led else {}
+        taken = relit.own_pictures(material, setups, stack) if options.led else {}
         files, rows = relit.write_pictures(
             work, material, surface, setups, options.exposure, taken, progress=screen.progress
         )
@@ -165,58 +165,16 @@ def _distant(text: str) -> "Distant":
     return Distant(azimuth, elevation, strength)
 
 
-def read_map(path: Path) -> Any:
-    """The map of --environment, (y, x, rgb).
-
-    Raises:
-        RequestError: there is no such file, or it is no environment.
-    """
-    from lightstage.formats.environment import read_environment
-    from lightstage.store.intake import FileError, open_regular
-
-    try:
-        with open_regular(path):
-            pass  # OpenImageIO opens it by its name
-    except FileError as error:
-        raise RequestError(
-            f"--environment {path} {error}; give a .hdr or .exr map in latitude and longitude"
-        ) from None
-    with refusals("--environment "):
-        return read_environment(path)
-
-
 def _together(options: argparse.Namespace) -> "list[Setup]":
     """The picture of all --light and the --environment, if there are any."""
+    from lightstage.api.subjects import environment
     from lightstage.products.light_setups import environment_lamps, one_picture
 
     lights = [_distant(text) for text in options.light]
     if options.environment is None:
         return one_picture(lights, None)
     lamps = environment_lamps(
-        read_map(options.environment), options.samples or choices.ENVIRONMENT_LIGHTS, options.rotate or 0.0
+        environment(options.environment), options.samples or choices.ENVIRONMENT_LIGHTS, options.rotate or 0.0
     )
     turn = f" turned by {options.rotate:g}" if options.rotate else ""
     return one_picture(lights, lamps, options.environment.name + turn)
-
-
-def _leds(options: argparse.Namespace, store: Store) -> "list[Setup]":
-    """The pictures of --led.
-
-    Raises:
-        RequestError: the session has no lights item, or no light of that name.
-    """
-    if not options.led:
-        return []
-    from lightstage.dag.plan import bound_items
-    from lightstage.products.light_setups import led_pictures
-    from lightstage.store.sessions import read_session
-
-    session = read_session(options.session, store)
-    items = bound_items(session, store, override_items(options.calibration, store))
-    if "lights" not in items:
-        raise RequestError(
-            f"session '{session.name}' has no lights item, which says where the rig's lights are; "
-            "--light and --environment do without"
-        )
-    with refusals("--led "):
-        return led_pictures(options.led, items["lights"].values)

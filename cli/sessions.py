@@ -1,19 +1,16 @@
 """import, sessions, calibration: what comes into the store, and what is bound to what."""
 
 import argparse
-import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from lightstage.api.stores import Imported, OpenSession, OpenStore, open_store
 from lightstage.cli.show import Screen
-from lightstage.store.errors import RequestError
-from lightstage.store.files import human_size
-from lightstage.store.root import Store
+from lightstage.sizes import human_size
 
-if TYPE_CHECKING:
-    from lightstage.store.importer import Imported
-    from lightstage.store.sessions import Session
+_MOST_CHANGES, _MOST_ROWS = 30, 60
+"""That are told of."""
 
 
 def configure(commands: Any) -> None:
@@ -48,55 +45,51 @@ def configure(commands: Any) -> None:
 
 
 def import_folder(
-    folder: Path | Sequence[Path], store: Store, screen: Screen, name: str | None = None
-) -> "Imported":
+    folder: Path | Sequence[Path], store: OpenStore, screen: Screen, name: str | None = None
+) -> Imported:
     """Import, and say what came of it."""
-    from lightstage.store.importer import import_capture
+    done = store.import_capture(folder, name, progress=screen.progress)
+    say_imported(done, screen)
+    return done
 
-    done = import_capture(folder, store, name=name, progress=screen.progress)
-    session = done.session
+
+def say_imported(done: Imported, screen: Screen) -> None:
+    """What came of an import."""
     for warning in done.warnings:
         screen.warn(warning)
     if not done.changes:
-        screen.say(f"session '{session.name}': nothing has changed")
-    else:
-        for change in done.changes[:30]:
-            screen.say(change)
-        if len(done.changes) > 30:
-            screen.say(f"... and {len(done.changes) - 30} more changes")
-    say_verdict(session, screen)
-    return done
+        screen.say(f"session '{done.session.name}': nothing has changed")
+    for change in done.changes[:_MOST_CHANGES]:
+        screen.say(change)
+    if len(done.changes) > _MOST_CHANGES:
+        screen.say(f"... and {len(done.changes) - _MOST_CHANGES} more changes")
+    say_verdict(done.session, screen)
 
 
 def handle_import(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage import."""
-    from lightstage.store.capture import read_capture
-
-    read_capture(options.folder)  # a typo in it must not even make a store
-    store = Store(options.store)
-    store.scratch.sweep()
-    done = import_folder(options.folder, store, screen, options.session)
-    store.scratch.leave()
+    done = import_folder(options.folder, open_store(options.store), screen, options.session)
+    session = done.session.read()
     screen.document(
         {
-            "session": done.session.name,
+            "session": session.name,
             "new": done.new,
             "changed": bool(done.changes),
             "changes": list(done.changes),
             "warnings": list(done.warnings),
-            "pictures": len(done.session.source["files"]),
-            "bytes": done.session.size,
-            "items": dict(done.session.items),
-            "verdict": [dict(row) for row in done.session.verdict],
+            "pictures": len(session.source["files"]),
+            "bytes": session.size,
+            "items": dict(session.items),
+            "verdict": [dict(row) for row in session.verdict],
         }
     )
     return 0
 
 
-def say_verdict(session: "Session", screen: Screen) -> None:
+def say_verdict(session: OpenSession, screen: Screen) -> None:
     """A line an illumination and band: is the capture any good?"""
     rows = []
-    for row in session.verdict:
+    for row in session.read().verdict:
         marks = []
         if row["saturated"] > 0.001:
             marks.append("saturated")
@@ -117,11 +110,11 @@ def say_verdict(session: "Session", screen: Screen) -> None:
             )
         )
     worst = [row for row in rows if row[-1] != "good"]
-    if len(rows) > 60:
+    if len(rows) > _MOST_ROWS:
         screen.say(
             f"{len(rows) - len(worst)} of {len(rows)} pictures are good" + (", the others:" if worst else "")
         )
-        rows = worst[:60]
+        rows = worst[:_MOST_ROWS]
     head = ("light", "nm", "camera", "saturated", "underexposed", "a + a' - c", "verdict")
     if rows:
         screen.table(head, rows, right=(1, 3, 4, 5))
@@ -129,10 +122,8 @@ def say_verdict(session: "Session", screen: Screen) -> None:
 
 def handle_list(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage sessions list."""
-    from lightstage.store.sessions import read_session, session_names
-
-    store = Store(options.store, create=False)
-    sessions = [read_session(name, store) for name in session_names(store)]
+    store = open_store(options.store)
+    sessions = [store.session(name).read() for name in store.sessions]
     rows = [
         (
             s.name,
@@ -151,10 +142,9 @@ def handle_list(options: argparse.Namespace, screen: Screen) -> int:
 
 def handle_show(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage sessions show."""
-    from lightstage.store.sessions import read_session
-
-    store = Store(options.store, create=False)
-    session = read_session(options.session, store)
+    opened = open_store(options.store).session(options.session)
+    session = opened.read()
+    raw = opened.folder / "raw.zarr"
     facts = session.facts
     lights = " ".join(facts["illumination"])
     rate = facts["frame_rate_hz"]
@@ -165,10 +155,10 @@ def handle_show(options: argparse.Namespace, screen: Screen) -> int:
     )
     screen.say(f"  cameras {', '.join(f'{p}: {c}' for p, c in facts['cameras'].items())}")
     screen.say(f"  {'static' if rate is None else f'{rate:g} frames/s'}; {session.shape[1]} x {session.shape[0]}")
-    screen.say(f"  stored {human_size(session.size)} in {store.sessions / session.name / 'raw.zarr'}")
-    for kind, digest in session.items.items():
-        screen.say(f"  {kind}: {kind}-{digest[:12]}")
-    say_verdict(session, screen)
+    screen.say(f"  stored {human_size(session.size)} in {raw}")
+    for kind, name in opened.items.items():
+        screen.say(f"  {kind}: {name}")
+    say_verdict(opened, screen)
     screen.document(
         {
             "session": session.name,
@@ -176,7 +166,7 @@ def handle_show(options: argparse.Namespace, screen: Screen) -> int:
             "sizes": session.sizes,
             "bytes": session.size,
             "folder": session.source["folder"],
-            "raw": str(store.sessions / session.name / "raw.zarr"),
+            "raw": str(raw),
             "items": dict(session.items),
             "verdict": [dict(row) for row in session.verdict],
         }
@@ -186,10 +176,7 @@ def handle_show(options: argparse.Namespace, screen: Screen) -> int:
 
 def handle_remove(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage sessions remove."""
-    from lightstage.store.sessions import remove_session
-
-    store = Store(options.store, create=False)
-    size = remove_session(options.session, store)
+    size = open_store(options.store).remove(options.session)
     screen.say(
         f"session '{options.session}' and its results are gone ({human_size(size)} of links); "
         "`lightstage gc` frees the chunks that nothing else uses"
@@ -200,25 +187,8 @@ def handle_remove(options: argparse.Namespace, screen: Screen) -> int:
 
 def handle_items(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage calibration list."""
-    from lightstage.store.calibration import all_items
-    from lightstage.store.sessions import read_session, session_names
-
-    store = Store(options.store, create=False)
-    names = [options.session] if options.session else session_names(store)
-    bound: dict[str, list[str]] = {}
-    for name in names:
-        for kind, digest in read_session(name, store).items.items():
-            bound.setdefault(f"{kind}-{digest[:12]}", []).append(name)
-    items = [item for item in all_items(store) if not options.session or item.name in bound]
-    rows = [
-        (
-            item.name,
-            item.notes.get("rig", ""),
-            item.notes.get("valid_from", ""),
-            ", ".join(bound.get(item.name, [])),
-        )
-        for item in items
-    ]
+    items = open_store(options.store).items(options.session)
+    rows = [(i.name, i.notes.get("rig", ""), i.notes.get("valid_from", ""), ", ".join(i.sessions)) for i in items]
     screen.table(("item", "rig", "valid from", "bound to"), rows)
     screen.document(
         {
@@ -228,7 +198,7 @@ def handle_items(options: argparse.Namespace, screen: Screen) -> int:
                     "kind": i.kind,
                     "digest": i.digest,
                     "notes": dict(i.notes),
-                    "sessions": bound.get(i.name, []),
+                    "sessions": list(i.sessions),
                 }
                 for i in items
             ]
@@ -239,23 +209,20 @@ def handle_items(options: argparse.Namespace, screen: Screen) -> int:
 
 def handle_item(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage calibration show."""
-    from lightstage.store.calibration import find_item, original_of
+    from lightstage.api.items import item_text
 
-    store = Store(options.store, create=False)
-    item = find_item(options.item, store)
-    path = store.calibration / item.name / "item.yaml"
-    screen.say(f"# {path}")
-    screen.say(original_of(item, store).decode().rstrip())
-    pictures = {camera: f"{p.shape[1]} x {p.shape[0]}, {p.dtype}" for camera, p in item.pictures.items()}
-    for camera, text in pictures.items():
-        screen.say(f"# {camera}: {text}")
+    item, text = item_text(open_store(options.store).opened, options.item)
+    screen.say(f"# {item.path}")
+    screen.say(text.rstrip())
+    for camera, picture in item.pictures.items():
+        screen.say(f"# {camera}: {picture}")
     screen.document(
         {
             "item": item.name,
             "digest": item.digest,
             "values": item.values,
             "notes": dict(item.notes),
-            "pictures": pictures,
+            "pictures": dict(item.pictures),
         }
     )
     return 0
@@ -263,25 +230,14 @@ def handle_item(options: argparse.Namespace, screen: Screen) -> int:
 
 def handle_use(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage calibration use."""
-    from lightstage.store.calibration import find_item, put_item, read_item
-    from lightstage.store.sessions import bind_item, read_session
+    from lightstage.api.items import bind
 
-    store = Store(options.store, create=False)
-    session = read_session(options.session, store).name
-    path = Path(os.path.expanduser(options.item))
-    if path.is_file():
-        item, original = read_item(path, store.chunks)
-        put_item(item, original, store)
-    elif path.suffix in (".yaml", ".yml"):
-        raise RequestError(f"{path} is missing: expected a calibration item")
+    session = open_store(options.store).session(options.session)
+    bound = bind(session.read(), options.item, session.opened)
+    if bound.changed:
+        was = f" instead of {bound.kind}-{bound.before[:12]}" if bound.before else ""
+        screen.say(f"session '{session.name}' now uses {bound.item}{was}")
     else:
-        item = find_item(options.item, store)
-    before = bind_item(session, item, store)
-    changed = before != item.digest
-    if changed:
-        was = f" instead of {item.kind}-{before[:12]}" if before else ""
-        screen.say(f"session '{session}' now uses {item.name}{was}")
-    else:
-        screen.say(f"session '{session}' uses {item.name} already (the same numbers); nothing has changed")
-    screen.document({"session": session, "item": item.name, "changed": changed, "before": before})
+        screen.say(f"session '{session.name}' uses {bound.item} already (the same numbers); nothing has changed")
+    screen.document({"session": session.name, "item": bound.item, "changed": bound.changed, "before": bound.before})
     return 0

@@ -4,13 +4,13 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from lightstage.cli import mesh
-from lightstage.cli.run import add_run_options, paths_of, run_session, session_of
+from lightstage.api.stores import open_store
+from lightstage.cli.export import deliver_meshes
+from lightstage.cli.run import add_run_options, answered, request_of, say_answer, session_given
 from lightstage.cli.show import Screen
 from lightstage.cli.values import whole
 from lightstage.products import choices, names
 from lightstage.store.errors import RequestError
-from lightstage.store.root import Store
 
 NODES = ("shape", "reflectance")
 """The surface, and what it is painted with."""
@@ -34,24 +34,21 @@ def configure(commands: Any) -> None:
 
 def handle_shape(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage shape."""
-    from lightstage.cli.demo import demo_session
-    from lightstage.store.grid import open_dataset
-    from lightstage.store.sessions import read_session
+    from lightstage.api.exports import map_space
+    from lightstage.api.subjects import opened
 
     if options.every < 1:
         raise RequestError(f"--every {options.every}: expected a step of 1 or more")
-    space = mesh.map_space(options.format, options.normal_map)
-    store = Store(options.store)
-    options.session = session_of(options.session, store, screen) if options.session else demo_session(store, screen)
-    session = read_session(options.session, store)
-    summary = run_session(options, store, screen, NODES)
-    dataset = open_dataset(paths_of(summary, ("shape",), session.name)["shape"])
-    camera = mesh.camera_of(dataset, "shape", session, store)
+    space = map_space(options.format, options.normal_map)
+    store = open_store(options.store)
+    session = session_given(options.session, store, screen)
+    answer = answered(store, request_of(options, session.name, NODES), options, screen)
+    summary = say_answer(answer, screen)
+    dataset = opened(answer, ("shape",))["shape"]
     folder = options.to or store.root / "pictures" / names.shape_folder(session.name)
-    made = mesh.deliver_meshes(
-        dataset, camera, "shape", session, folder, screen, store,
-        form=options.format, every=options.every, space=space,
-    )  # fmt: skip
+    made = deliver_meshes(
+        session, "shape", dataset, folder, screen, form=options.format, every=options.every, space=space
+    )
     for file in made["files"]:
         if file.endswith(options.format):
             screen.say(f"mesh: {file}")

@@ -1,22 +1,20 @@
 """skin: melanin and haemoglobin of a session on one page, and the spectra of picked points."""
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lightstage.cli.refusals import refusals
-from lightstage.cli.run import add_run_options, override_items, paths_of, run_session, session_of
+from lightstage.api.refusals import refusals
+from lightstage.api.stores import open_store
+from lightstage.cli.run import add_run_options, answered, request_of, say_answer, session_given
 from lightstage.cli.show import Screen
 from lightstage.cli.values import whole
 from lightstage.products import choices, names
 from lightstage.store.errors import RequestError, WorkError
-from lightstage.store.root import Store
 
 if TYPE_CHECKING:
-    from lightstage.products.skin import Pigments, Point, Skin
-
-NODES = ("reflectance", "chromophores")
+    from lightstage.products.skin import Point, Skin
 
 
 def configure(commands: Any) -> None:
@@ -39,16 +37,18 @@ def configure(commands: Any) -> None:
 
 def handle_skin(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage skin."""
-    from lightstage.cli.demo import demo_session
+    from lightstage.api.subjects import SKIN_NODES, skin_of
     from lightstage.products.skin import PIGMENTS, spectra
 
     points = [_point_of(text) for text in options.at]
     if len(points) > choices.SKIN_POINTS:
         raise RequestError(f"--at is given {len(points)} times; at most {choices.SKIN_POINTS} spectra are drawn")
-    store = Store(options.store)
-    options.session = session_of(options.session, store, screen) if options.session else demo_session(store, screen)
-    summary = run_session(options, store, screen, NODES)
-    skin = _skin_of(options, store, paths_of(summary, NODES, options.session))
+    store = open_store(options.store)
+    session = session_given(options.session, store, screen)
+    request = request_of(options, session.name, SKIN_NODES)
+    answer = answered(store, request, options, screen)
+    summary = say_answer(answer, screen)
+    skin = skin_of(answer, request, store.opened, tracking=options.tracking)
     with refusals("--at " if points else ""):
         picked = spectra(skin, points)
     files = _write(store.root / "pictures", skin, picked)
@@ -104,51 +104,6 @@ def _write(folder: Path, skin: "Skin", points: "Sequence[Point]") -> dict[str, P
     except OSError as error:
         raise WorkError(f"{folder} cannot be written ({error.strerror or error})") from None
     return files
-
-
-def _skin_of(options: argparse.Namespace, store: Store, paths: Mapping[str, Path]) -> "Skin":
-    """The subject, by the results at `paths`.
-
-    Raises:
-        RequestError: there is no such tracking frame.
-    """
-    from lightstage.dag.plan import bound_items
-    from lightstage.products.skin import read_skin
-    from lightstage.store.grid import open_dataset
-    from lightstage.store.sessions import read_session
-
-    session = read_session(options.session, store)
-    reflectance, pigments = (open_dataset(paths[node]) for node in NODES)
-    items = bound_items(session, store, override_items(options.calibration, store))
-    with refusals():
-        return read_skin(
-            reflectance,
-            pigments,
-            items["bands"].values["bands"],
-            _pigments(pigments.attrs["parameters"]),
-            session=session.name,
-            tracking=options.tracking,
-        )
-
-
-def _pigments(parameters: Mapping[str, Any]) -> "Pigments":
-    """The stage's fit with a result's parameters."""
-    from lightstage.stages.chromophores import ChromophoresParams, chromophores, predicted
-
-    params = ChromophoresParams(**parameters)
-
-    class Fit:
-        model, saturation, vessel_radius_um = params.model, params.saturation, params.vessel_radius_um
-        pass_band = params.pass_band
-
-        def fit(self, reflectance: Any, standard_error: Any, passing: Any) -> Mapping[str, Any]:
-            settings = params.model_dump(exclude={"pass_band"})
-            return chromophores(reflectance, standard_error, passing=passing, **settings)
-
-        def predicted(self, melanin: Any, haemoglobin: Any, baseline: Any, passing: Any) -> Any:
-            return predicted(melanin, haemoglobin, baseline, passing=passing, params=params)
-
-    return Fit()
 
 
 def _point_of(text: str) -> tuple[int, int]:

@@ -1,19 +1,18 @@
 """stimuli: a matched set of face pictures of several sessions, with tables for experiments."""
 
 import argparse
-import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lightstage.cli.refusals import refusals
-from lightstage.cli.run import pipeline_path, run_session, session_of
+from lightstage.api.refusals import refusals
+from lightstage.api.requests import pipeline_path
+from lightstage.api.stores import OpenStore, open_store
+from lightstage.cli.run import answered, request_of, say_answer, session_given
 from lightstage.cli.show import Screen
 from lightstage.cli.stimulus_options import add_options, check, levels_of
 from lightstage.products import names
 from lightstage.store.errors import RequestError
-from lightstage.store.root import Store
 
 if TYPE_CHECKING:
     from lightstage.products.face_points import Points
@@ -33,8 +32,8 @@ def configure(commands: Any) -> None:
 def handle_stimuli(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage stimuli."""
     check(options)
-    store = Store(options.store)
-    sessions = [session_of(given, store, screen) for given in options.sessions]
+    store = open_store(options.store)
+    sessions = [session_given(given, store, screen).name for given in options.sessions]
     if len(set(sessions)) < len(sessions):
         raise RequestError("a session is named twice; a set holds each once")
     lacking = [name for name in options.morph or () if name not in sessions]
@@ -50,26 +49,18 @@ def handle_stimuli(options: argparse.Namespace, screen: Screen) -> int:
     return _make_set(_captures(opened, options, screen), options, store, screen)
 
 
-def _computed(name: str, options: argparse.Namespace, store: Store, screen: Screen) -> tuple[Any, Any, str]:
+def _computed(name: str, options: argparse.Namespace, store: OpenStore, screen: Screen) -> tuple[Any, Any, str]:
     """The stimulus result and the normals that it was made from, opened, and the result's folder."""
-    from lightstage.dag.graph import load_graph
-    from lightstage.stages import TABLE
-    from lightstage.store.grid import open_dataset
+    from lightstage.api.pipelines import read_pipeline
+    from lightstage.api.subjects import face_of
 
-    graph = load_graph(pipeline_path(options.pipeline), TABLE, overrides=options.overrides)
-    node = graph.nodes.get(NODE)
+    node = read_pipeline(options.pipeline, changes=options.overrides).nodes.get(NODE)
     if node is None:
         raise RequestError(f"{pipeline_path(options.pipeline)} has no node '{NODE}', which stimuli are made from")
-    one = copy.copy(options)
-    one.session = name
     screen.say(f"{name}:")
-    done = run_session(one, store, screen, (NODE,))["nodes"]
-    paths = [done[n]["path"] for n in (NODE, node.above[0])]
-    if None in paths:
-        raise RequestError(f"session '{name}': --frames leaves nothing to make stimuli of")
-    pictures, relief = (open_dataset(Path(path)) for path in paths)
-    # not every tracking frame that has normals has a reflectance
-    return pictures, relief.sel(tracking=pictures.tracking.values), Path(paths[0]).name
+    answer = answered(store, request_of(options, name, (NODE,)), options, screen)
+    say_answer(answer, screen)
+    return face_of(answer, NODE, node.above[0])
 
 
 def _captures(
@@ -106,13 +97,15 @@ def _check_inside(points: "Points", height: int, width: int, where: str) -> None
             )
 
 
-def _make_set(captures: "Mapping[str, Capture]", options: argparse.Namespace, store: Store, screen: Screen) -> int:
+def _make_set(
+    captures: "Mapping[str, Capture]", options: argparse.Namespace, store: OpenStore, screen: Screen
+) -> int:
     """Bring to one frame, mix, match, write, and say what came out."""
+    from lightstage.api.subjects import recipe_digest
     from lightstage.formats.whole_set import write_folder
     from lightstage.products import stimuli
     from lightstage.products.face_points import as_yaml
     from lightstage.products.stimulus_folder import assemble, jspsych_files, manifest
-    from lightstage.store.digest import SHORT, digest_value
 
     wanted = stimuli.SetOptions(
         **{field.name: getattr(options, field.name) for field in fields(stimuli.SetOptions)}
@@ -129,7 +122,7 @@ def _make_set(captures: "Mapping[str, Capture]", options: argparse.Namespace, st
                 subjects, sources, frame, ends=options.morph, levels=levels_of(options.levels), vary=options.vary
             )
     recipe = stimuli.recipe(subjects, sources, frame, wanted)
-    recipe["digest"] = digest_value(recipe)[:SHORT]
+    recipe["digest"] = recipe_digest(recipe)
     with refusals():
         made = stimuli.matched(subjects, frame, wanted, recipe["digest"])
     clipped = [f"{row['file']} ({100 * row['clipped']:.2g} %)" for row in made.rows if row["clipped"] > 0]
@@ -140,7 +133,7 @@ def _make_set(captures: "Mapping[str, Capture]", options: argparse.Namespace, st
         )
     points = as_yaml({name: source.points for name, source in sources.items()})
     content = assemble(made.rows, made.files, recipe, points, jspsych=jspsych)
-    folder = options.to or store.root / "stimuli" / f"{recipe['digest']}-{digest_value(manifest(content))[:SHORT]}"
+    folder = options.to or store.root / "stimuli" / f"{recipe['digest']}-{recipe_digest(manifest(content))}"
     with refusals():
         new = write_folder(folder.absolute(), content)
     called = options.kinds.split(",") if options.across == "kind" else ["the set"]
@@ -161,7 +154,7 @@ def _make_set(captures: "Mapping[str, Capture]", options: argparse.Namespace, st
 
 
 def _say_how_equal(off: Mapping[str, float], what: str, methods: Sequence[str], screen: Screen) -> None:
-    from lightstage.kernels.faces.matching import PROMISED_LEVELS, PROMISED_SPECTRUM
+    from lightstage.products.stimuli import PROMISED_LEVELS, PROMISED_SPECTRUM
 
     screen.say(
         f"{what}, largest difference between two, in grey levels: of luminance mean {off['mean_linear']:.2f}, "
@@ -175,7 +168,7 @@ def _say_how_equal(off: Mapping[str, float], what: str, methods: Sequence[str], 
         screen.warn(f"spectra of {what} are matched to {100 * off['spectrum']:.1f} % only, not to 1 %{_REMEDY}")
 
 
-def _preview(reliefs: Mapping[str, Any], options: argparse.Namespace, store: Store, screen: Screen) -> int:
+def _preview(reliefs: Mapping[str, Any], options: argparse.Namespace, store: OpenStore, screen: Screen) -> int:
     """Shape under one light at a time."""
     from lightstage.formats.whole_file import write_whole
     from lightstage.products.stimuli import light_preview

@@ -9,7 +9,10 @@ task.py         one block, wherever it is computed: the kernel, its inputs, its 
 places.py       where tasks are computed; the only module that imports Dask
 run.py          computes what is not known yet, and publishes it
 publish.py      from known blocks to result groups
+request.py      what is asked for
+answer.py       the one way of asking: a request is answered from memory, or by computing
 recall.py       the short cut of a fully cached run
+watcher.py      who is told how a run goes on
 explain.py      status and why: a plan held against what is in the store
 
 Importing it lets `sources` record what is imported from then on.

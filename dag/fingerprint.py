@@ -6,7 +6,7 @@ A key is the digest (xxh3, 128 bits) of canonical JSON. From the outside in:
     stage key  = { engine, stage, version, code, parameters, libraries }
     recipe     = { stage key, contexts of the node's blocks, recipes above }    names a result folder
     node key   = the block keys of a node, in order
-    run key    = { options, pipeline file, session, items, source files, all that is installed }      see `recall`
+    run key    = { request, pipeline file, session, items, source files, all that is installed }      see `recall`
 
 **engine** is ENGINE below, raised by hand when the engine hands something else to kernels than before.
 

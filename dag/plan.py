@@ -13,7 +13,7 @@ from typing import Any
 from lightstage.dag.code import keep_memory
 from lightstage.dag.fingerprint import block_key, plain_context, recipe, stage_parts
 from lightstage.dag.graph import Graph, Node
-from lightstage.dag.recall import Request, item_digest
+from lightstage.dag.recall import Snapshot, item_digest
 from lightstage.dag.stage import Arrangement, CalibrationPicture, Grid, Group, Name, StageError, refusal
 from lightstage.store.calibration import Item, StoredPicture, get_item, not_valid_for
 from lightstage.store.chunks import ChunkIndex, ChunkRef
@@ -111,10 +111,10 @@ class Plan:
     items: Mapping[str, Item]
     targets: tuple[str, ...]
 
-    def request(self, request: Request) -> Request:
-        """A request as this plan has read it: its files may have been others when it was looked for."""
+    def as_read(self, taken: Snapshot) -> Snapshot:
+        """A snapshot as this plan has read it: its files may have been others when it was taken."""
         return replace(
-            request,
+            taken,
             session=self.session.digest,
             pipeline=self.graph.digest,
             items={kind: _said_by(item) for kind, item in self.items.items()},

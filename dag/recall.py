@@ -1,8 +1,8 @@
 """The short cut of a fully cached run: answer from one record, without the graph, the stages, Dask or zarr.
 
-A request is recognised by everything that could change its answer: the pipeline file, the session, its items,
-our own source files (`sources`, which walks the folders), the installed libraries, and the options. The answer is
-given only while every result folder and every chunk that it names is there.
+A request is recognised by everything that could change its answer: all its fields, the session and its items, the
+text of the pipeline file, our own source files (`sources`, which walks the folders), and the installed libraries.
+The answer is given only while every result folder and every chunk that it names is there.
 
 A request is looked for by what the files hold, and remembered by what the plan has read of them: a binding that was
 changed for a moment while a run began must not lend its result to another.
@@ -12,24 +12,21 @@ import json
 import os
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, fields
 from typing import Any, TypeGuard
 
+from lightstage.dag.request import Request
 from lightstage.dag.sources import Sources, outdated, read_sources
 from lightstage.store.digest import SHORT, digest_bytes, digest_value
 from lightstage.store.results import ResultName, set_current
 from lightstage.store.root import Store
 
-_SAID = ("method", "engine", "note", "cannot_be_made", "distance_mm", "warnings")
-"""What of a result's attributes a run tells."""
-
 
 @dataclass(frozen=True)
-class Request:
-    """What is asked for: `options` as the user gave them, the files by their content."""
+class Snapshot:
+    """A request and all that could change its answer, at one moment; files by their content."""
 
-    options: Mapping[str, Any]
+    request: Request
     session: str
     """Digest of session.json."""
     pipeline: str
@@ -41,23 +38,26 @@ class Request:
 
     @property
     def key(self) -> str:
-        """What its answer is remembered under."""
-        return digest_value(
-            {
-                "options": dict(self.options),
-                "session": self.session,
-                "pipeline": self.pipeline,
-                "items": dict(self.items),
-                "sources": self.sources.digest,
-                "libraries": list(self.libraries),
-            }
-        )
+        """What its answer is remembered under: every field of this class and of the request."""
+        asked = _fields(self.request)
+        asked["pipeline"] = self.pipeline  # what the file holds, wherever it lies
+        return digest_value({**_fields(self), "request": asked, "sources": self.sources.digest})
 
 
-def request_now(store: Store, *, session: str, pipeline: Path, options: Mapping[str, Any]) -> Request | None:
-    """The request as the files stand, or None when the session, the pipeline file or an item is not there."""
+def _fields(record: Any) -> dict[str, Any]:
+    return {field.name: getattr(record, field.name) for field in fields(record)}
+
+
+def snapshot(request: Request, store: Store) -> Snapshot | None:
+    """The request with its files as they stand, or None where it cannot be looked for.
+
+    That is: the session, the pipeline file or an item is not there, or items are given for this request alone,
+    whose pictures are not looked at here.
+    """
+    if request.items:
+        return None
     try:
-        session_bytes = (store.sessions / session / "session.json").read_bytes()
+        session_bytes = (store.sessions / request.session / "session.json").read_bytes()
         bound = json.loads(session_bytes)["items"]
         items = {}
         for kind, digest in bound.items():
@@ -65,10 +65,10 @@ def request_now(store: Store, *, session: str, pipeline: Path, options: Mapping[
             items[kind] = item_digest(
                 plain["kind"], plain["digest"], plain["values"], plain["notes"], plain["pictures"]
             )
-        return Request(
-            options=options,
+        return Snapshot(
+            request,
             session=digest_bytes(session_bytes),
-            pipeline=digest_bytes(pipeline.read_bytes()),
+            pipeline=digest_bytes(request.pipeline.read_bytes()),
             items=items,
             sources=read_sources(),
             libraries=libraries(),
@@ -84,9 +84,9 @@ def item_digest(
     return digest_bytes(json.dumps([kind, digest, values, notes, pictures], sort_keys=True).encode())
 
 
-def lasting(request: Request | None) -> TypeGuard[Request]:
-    """Whether our sources are still those of the request, untouched, and those that this process executed."""
-    return request is not None and request.sources == read_sources() and not outdated(request.sources)
+def lasting(taken: Snapshot | None) -> TypeGuard[Snapshot]:
+    """Whether our sources are still those of the snapshot, untouched, and those that this process executed."""
+    return taken is not None and taken.sources == read_sources() and not outdated(taken.sources)
 
 
 def libraries() -> tuple[str, ...]:
@@ -101,9 +101,9 @@ def libraries() -> tuple[str, ...]:
     return tuple(sorted(found))
 
 
-def recall(store: Store, request: Request) -> dict[str, Any] | None:
-    """The answer to a request, if all of it is still there; lets `current` name its results."""
-    answer = store.records.run(request.key)
+def recall(store: Store, taken: Snapshot) -> dict[str, Any] | None:
+    """The record of the answer to a request, if all of it is still there; lets `current` name its results."""
+    answer = store.records.run(taken.key)
     if answer is None:
         return None
     blobs = str(store.chunks.folder)
@@ -127,27 +127,4 @@ def recall(store: Store, request: Request) -> dict[str, Any] | None:
             recipe, _, manifest = node["folder"].partition("-")
             if not set_current(ResultName(answer["session"], name, recipe, manifest), store):
                 return None  # `gc` has just taken it
-    return answer
-
-
-def remember(store: Store, request: Request | None, session: str, results: Mapping[str, Any]) -> dict[str, Any]:
-    """The answer to a request, kept under its key if there is one.
-
-    Args:
-        results: node name -> `dag.publish.NodeResult`.
-    """
-    nodes = {
-        name: {
-            "name": name,
-            "folder": None if result.path is None else result.path.name,
-            "blocks": result.computed + result.reused,
-            "bytes": result.size,
-            "attrs": {k: result.attrs[k] for k in _SAID if k in result.attrs},
-            "files": [[file, ref.blob, ref.size] for file, ref in result.files.items()],
-        }
-        for name, result in results.items()
-    }
-    answer = {"session": session, "nodes": nodes}
-    if request is not None:
-        store.records.put_run(request.key, answer)
     return answer

@@ -9,30 +9,18 @@ import secrets
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from lightstage.dag.places import LostWorkersError, Where, compute
 from lightstage.dag.plan import Plan, State, look_up
 from lightstage.dag.publish import NodeResult, publish_results
 from lightstage.dag.stage import refusal
 from lightstage.dag.task import BlockTask, check_store, execute, lend, prepare
+from lightstage.dag.watcher import Watcher
 from lightstage.store.errors import DamagedChunkError, RequestError, WorkError
 from lightstage.store.records import BlockRecord
 from lightstage.store.root import Store
 from lightstage.store.verify import verify
-
-
-class Watcher(Protocol):
-    """Is told how a run goes on."""
-
-    def begin(self, totals: Mapping[str, int], frames: int) -> None:
-        """Blocks to do, by node, and the session's frames that they stand for."""
-
-    def done(self, node: str, computed: bool) -> None:
-        """One block of a node is there."""
-
-    def warn(self, text: str) -> None:
-        """Something that the user should know."""
 
 
 def run(

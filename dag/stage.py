@@ -202,12 +202,12 @@ class Stage:
     """The names that `context` (or `prepare`, when there is one) gives to the kernel."""
     item: str | None = None
     verdict: str | None = None
-    tells: Mapping[str, str] = field(default_factory=dict)
-    """Attributes of the result that a run tells, each with the text that its value stands in: `{:.1f} mm away`."""
     units: Mapping[str, str] = field(default_factory=dict)
     """Of coordinates that the stage brings in."""
     places: Mapping[str, Callable[[int, Mapping[str, Any]], str]] = field(default_factory=dict)
     """How an index along a dimension that the stage brings in is called, from it and the labels there."""
+    remarks: tuple[str, ...] = ()
+    """The attributes of its result that a run shows, in this order."""
 
     @property
     def is_source(self) -> bool:

@@ -7,6 +7,7 @@ Imports nothing of ours outside itself.
     gradients.py     what each light is driven with, per illumination
     sequence.py      which illumination comes when, and what a tracking frame supports
     pacing.py        how fast a sequence plays, and whether it flashes
+    planning.py      both together: a plan
     skin.py          what skin reflects, band by band
     head.py          the subject: a head as a distance field
     motion.py        how the head turns, shifts and talks

@@ -19,6 +19,8 @@ store, graph, stage or command; it imports kernels, file formats and facts of th
     stimuli.py          a matched set of faces: framing, morphs, matching; stimulus_folder.py is its files
     face_points.py      where the eyes are
     alignment.py        what alignment did to the pictures of a set; alignment_page.py draws it
+    calibration_report.py   the page of `calibrate --report`
+    sequence_counts.py  how many images a sequence needs
 
     figures.py          matplotlib and its fonts, as every product uses them
     counts.py           from numbers to the counts of a picture file

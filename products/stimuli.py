@@ -19,6 +19,8 @@ from lightstage.kernels.appearance.shading import shade
 from lightstage.kernels.errors import KernelError
 from lightstage.kernels.faces.face_flow import between, face_flow, mixed_normals, pulled, through_points
 from lightstage.kernels.faces.face_frame import Frame, bring, similarity, turned
+from lightstage.kernels.faces.matching import PROMISED_LEVELS as PROMISED_LEVELS
+from lightstage.kernels.faces.matching import PROMISED_SPECTRUM as PROMISED_SPECTRUM
 from lightstage.kernels.faces.matching import TOP, Encoding, Setting, apart, grey_setting, match
 from lightstage.kernels.motion.flow_warp import unit
 from lightstage.products import names

@@ -245,6 +245,7 @@ STAGE = Stage(
     version=1,
     summary="the pictures of each set, brought to their tracking frame",
     params=AlignParams,
+    remarks=("engine", "cannot_be_made"),
     inputs={"radiance": Input("radiance", ("illumination|frame", "band", "component", "y", "x"), "group")},
     outputs={
         "flow": Output(
@@ -283,5 +284,4 @@ STAGE = Stage(
     context=_context,
     prepared=_PREPARED,
     kernel="lightstage.kernels.motion.alignment:align",
-    tells={"engine": "engine: {}"},
 )

@@ -260,6 +260,7 @@ STAGE = Stage(
     version=1,
     summary="surface normals",
     params=NormalsParams,
+    remarks=("method", "note", "distance_mm"),
     inputs={"radiance": _ALIGNED, "constant": _ALIGNED},
     calibration={
         "camera": Needs(
@@ -304,5 +305,4 @@ STAGE = Stage(
     prepare="lightstage.kernels.normals.methods:prepare",
     prepared=("choice", "lights", "view", "rig", "correct"),
     kernel="lightstage.kernels.normals.methods:normals",
-    tells={"method": "method: {}", "note": "note: {}", "distance_mm": "distance: {:.0f} mm"},
 )

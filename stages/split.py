@@ -59,6 +59,7 @@ STAGE = Stage(
     version=1,
     summary="diffuse and specular components",
     params=SplitParams,
+    remarks=("cannot_be_made",),
     inputs={"signal": Input("signal", ("frame", "band", "polarisation", "y", "x"))},
     outputs={"signal": Output(("frame", "band", "component", "y", "x"), "float32", attrs={"units": "counts"})},
     blocks=("frame", "band"),

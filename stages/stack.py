@@ -75,6 +75,7 @@ STAGE = Stage(
     version=1,
     summary="frames to illuminations, counts to radiance",
     params=StackParams,
+    remarks=("cannot_be_made",),
     inputs={"signal": Input("signal", ("frame", "band", "component", "y", "x"), "group")},
     calibration={"bands": Needs(why="radiance is in counts, and bands do not compare")},
     outputs={

@@ -99,6 +99,7 @@ STAGE = Stage(
     version=1,
     summary="normals at every picture",
     params=UpsampleParams,
+    remarks=("method",),
     inputs={
         "normal": Input("normal", ("tracking", "band", "xyz", "y", "x"), "group"),
         "albedo": Input("albedo", ("tracking", "band", "y", "x"), "group"),
@@ -119,5 +120,4 @@ STAGE = Stage(
     context=_context,
     prepared=("between",),
     kernel="lightstage.kernels.motion.upsampling:upsample",
-    tells={"method": "method: {}"},
 )

@@ -556,12 +556,3 @@ def files_below(folder: Path) -> Iterator["os.DirEntry[str]"]:
 def folder_size(folder: Path) -> int:
     """Bytes in all files below a folder."""
     return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
-
-
-def human_size(count: float) -> str:
-    """Bytes as a person reads them: 1.5 GB, in powers of 1000."""
-    for unit in ("B", "kB", "MB", "GB"):
-        if abs(count) < 1000:
-            return f"{count:.0f} {unit}" if unit == "B" else f"{count:.1f} {unit}"
-        count /= 1000
-    return f"{count:.1f} TB"

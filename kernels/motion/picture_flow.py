@@ -32,9 +32,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lightstage.kernels.pictures.nearest_fill import nearest_fill
-
 from lightstage.kernels.pictures.masked_mean import MaskedMean
+from lightstage.kernels.pictures.nearest_fill import nearest_fill
 
 Image = NDArray[np.float32]
 """(y, x)."""

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from lightstage.kernels.normals import quantised
 from lightstage.kernels.normals.spherical_gradients import Normals
-from lightstage.kernels.normals.spherical_gradients import Normals
 
 
 def solve(pictures: Sequence[NDArray[np.float32]], lights: NDArray[np.float64]) -> Normals:

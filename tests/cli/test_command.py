@@ -1,5 +1,6 @@
 """The command: what it prints, exit codes, JSON, bad requests."""
 
+import argparse
 import json
 import struct
 import subprocess
@@ -16,7 +17,7 @@ import OpenEXR
 import pytest
 import xarray
 
-from lightstage.cli.main import build_parser
+from lightstage.cli.main import COMMANDS, build_parser
 from tests.conftest import REPOSITORY, Answer, run_process
 from tests.scenes import one_camera_capture, sphere_normals, write_capture
 
@@ -28,6 +29,31 @@ def ball(lightstage: Lightstage, sphere: Path) -> Path:
     assert lightstage("import", sphere).code == 0
     assert lightstage("run", "--session", "ball").code == 0
     return sphere
+
+
+def names(parser: argparse.ArgumentParser) -> set[str]:
+    (commands,) = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
+    return set(commands.choices)
+
+
+def test_the_table_of_commands_is_what_the_modules_have() -> None:
+    assert names(build_parser()) == set(COMMANDS)
+    for command, module in COMMANDS.items():
+        assert names(build_parser([command])) == {name for name, home in COMMANDS.items() if home == module}
+
+
+@pytest.mark.parametrize(
+    ("words", "parsed"),
+    [
+        (["--store", "status", "run"], {"run", "normals", "performance"}),
+        (["--store=x", "--json", "verify", "-h"], {"verify", "gc", "upgrade"}),
+        (["--help", "run"], set(COMMANDS)),
+        (["runn"], set(COMMANDS)),
+        ([], set(COMMANDS)),
+    ],
+)
+def test_only_the_module_of_the_command_is_asked(words: list[str], parsed: set[str]) -> None:
+    assert names(build_parser(words)) == parsed
 
 
 def test_a_node_that_brings_in_the_session_may_have_any_name(lightstage: Lightstage, tmp_path: Path) -> None:

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from lightstage.cli.face_points import read_points
-from lightstage.kernels.faces.face_frame import bring, turned
-from lightstage.products.face_points import as_yaml, find_points
+from lightstage.products.face_points import as_yaml
 from lightstage.store.errors import RequestError
-from tests.face_scenes import view
 
 
 def test_what_is_written_is_read_again(tmp_path: Path) -> None:

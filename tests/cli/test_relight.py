@@ -14,7 +14,7 @@ import pytest
 import xarray
 from PIL import Image
 
-from lightstage.cli.relight import read_map
+from lightstage.api.subjects import environment
 from lightstage.hw.virtual_rig import Shot, capture, radiance
 from lightstage.kernels.appearance.colour import decode_srgb, linear_srgb_matrix
 from lightstage.store.errors import RequestError
@@ -221,10 +221,10 @@ def test_a_map_that_is_no_file_is_named(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "a.hdr")
     for file, said in ((tmp_path / "none.hdr", "is missing"), (tmp_path / "a.hdr", "is a pipe, and no file")):
         with pytest.raises(RequestError, match=f"--environment {file} {said}"):
-            read_map(file)
+            environment(file)
     write_hdr(tmp_path / "square.hdr", np.ones((8, 8, 3)))
     with pytest.raises(RequestError, match=r"--environment .*square.hdr is 8 x 8; a map in latitude"):
-        read_map(tmp_path / "square.hdr")
+        environment(tmp_path / "square.hdr")
 
 
 @pytest.mark.parametrize(

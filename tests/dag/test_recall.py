@@ -1,6 +1,7 @@
 """A request is remembered under what decided its answer, and looked for by all that could."""
 
 import argparse
+import dataclasses
 import json
 import sys
 from collections.abc import Callable
@@ -9,10 +10,11 @@ from typing import Any
 
 import pytest
 
-from lightstage.cli import run as cli_run
-from lightstage.cli.run import add_run_options, deciding_options
-from lightstage.dag import recall as dag_recall
-from lightstage.dag.recall import libraries, request_now
+from lightstage.cli.run import add_run_options, request_of
+from lightstage.dag import answer as dag_answer
+from lightstage.dag import recall
+from lightstage.dag.recall import libraries, snapshot
+from lightstage.dag.request import Request
 from lightstage.store.root import Store
 from tests.conftest import REPOSITORY, Answer
 
@@ -36,16 +38,16 @@ def while_it_begins(
     monkeypatch: pytest.MonkeyPatch, before: Callable[[], Any], after: Callable[[], Any]
 ) -> Callable[[], None]:
     """Let something happen right before a run reads its files, and be undone right after; returns the end of it."""
-    real = cli_run.plan_for
+    real = dag_answer.lay_out
 
-    def plan_for(*arguments: Any, **more: Any) -> Any:
+    def lay_out(*arguments: Any, **more: Any) -> Any:
         before()
         plan = real(*arguments, **more)
         after()
         return plan
 
-    monkeypatch.setattr(cli_run, "plan_for", plan_for)
-    return lambda: monkeypatch.setattr(cli_run, "plan_for", real)
+    monkeypatch.setattr(dag_answer, "lay_out", lay_out)
+    return lambda: monkeypatch.setattr(dag_answer, "lay_out", real)
 
 
 def test_a_binding_that_was_another_while_a_run_began_lends_nothing(
@@ -88,7 +90,7 @@ def test_a_source_that_was_touched_in_between_is_not_remembered(
 
     lightstage("import", sphere)
     with monkeypatch.context() as patch:
-        patch.setattr(dag_recall, "outdated", lambda _: ["lightstage.stages.register"])
+        patch.setattr(recall, "outdated", lambda _: ["lightstage.stages.register"])
         run(lightstage)
         assert not list((tmp_path / "store" / "cache" / "runs").rglob("*.json"))
     run(lightstage)
@@ -101,13 +103,11 @@ def test_what_was_remembered_is_found_and_notes_of_items_count(
     lightstage("import", sphere)
     run(lightstage)
     with monkeypatch.context() as patch:
-        patch.setattr(cli_run, "plan_for", None)
+        patch.setattr(dag_answer, "lay_out", None)
         run(lightstage)  # from the record alone
 
     def key() -> str:
-        found = request_now(
-            Store(tmp_path / "store"), session="ball", pipeline=REPOSITORY / "pipeline.yaml", options={}
-        )
+        found = snapshot(Request("ball", REPOSITORY / "pipeline.yaml"), Store(tmp_path / "store"))
         assert found is not None
         return found.key
 
@@ -118,20 +118,56 @@ def test_what_was_remembered_is_found_and_notes_of_items_count(
     assert key() != before
 
 
-def test_every_option_of_a_run_decides_but_where_it_is_computed(monkeypatch: pytest.MonkeyPatch) -> None:
+OTHER: dict[str, tuple[tuple[str, ...], Any]] = {
+    "overrides": (("--set", "normals.method=ratio"), ("normals.method=ratio",)),
+    "frames": (("--frames", "0:3"), (0, 3)),
+    "pipeline": (("--pipeline", "other.yaml"), Path("other.yaml")),
+    "items": (("--calibration", "homography=h.yaml"), (("homography", Path("h.yaml")),)),
+}
+"""Per field of a request, an option of a run that gives it another value, and that value."""
+
+
+def test_every_option_of_a_run_is_in_the_request_but_where_it_is_computed() -> None:
     parser = argparse.ArgumentParser()
     add_run_options(parser)
-    plain = vars(parser.parse_args([]))
-    undecided = {name for name in plain if name not in deciding_options(argparse.Namespace(**plain))}
-    assert undecided == {"workers", "scheduler", "pipeline"}  # of the pipeline the text counts
-    real = add_run_options
+    plain = parser.parse_args([])
+    usual = request_of(plain, "ball")
+    reached = {"workers", "scheduler"}
+    for field, (words, value) in OTHER.items():
+        given = parser.parse_args(words)
+        reached |= {name for name in vars(plain) if vars(given)[name] != vars(plain)[name]}
+        assert request_of(given, "ball") == dataclasses.replace(usual, **{field: value})
+    assert reached == set(vars(plain))
 
-    def more(parser: argparse.ArgumentParser) -> None:
-        real(parser)
-        parser.add_argument("--flavour", default="plain")
 
-    monkeypatch.setattr(cli_run, "add_run_options", more)
-    assert deciding_options(argparse.Namespace(**plain, flavour="fine"))["flavour"] == "fine"
+def test_every_field_of_a_request_is_in_its_key(
+    lightstage: Lightstage, sphere: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lightstage("import", sphere)
+    taken = snapshot(Request("ball", REPOSITORY / "pipeline.yaml"), Store(tmp_path / "store"))
+    assert taken is not None
+
+    def key(**changes: Any) -> str:
+        return dataclasses.replace(taken, request=dataclasses.replace(taken.request, **changes)).key
+
+    other = {
+        "session": "face",
+        "nodes": ("normals",),
+        **{field: value for field, (_, value) in OTHER.items() if field not in ("pipeline", "items")},
+    }
+    assert len({taken.key, *(key(**{field: value}) for field, value in other.items())}) == 1 + len(other)
+    assert key(pipeline=Path("elsewhere.yaml")) == taken.key  # its text counts
+    assert dataclasses.replace(taken, pipeline="another text").key != taken.key
+    # items that are given for one request alone are never looked for
+    assert snapshot(dataclasses.replace(taken.request, items=OTHER["items"][1]), Store(tmp_path / "store")) is None
+    # what is added to a request is in the key without anybody's doing
+    grown = dataclasses.make_dataclass("Grown", [("flavour", str)], bases=(Request,), frozen=True, kw_only=True)
+    fields = {field.name: getattr(taken.request, field.name) for field in dataclasses.fields(taken.request)}
+    keys = {
+        dataclasses.replace(taken, request=grown(**fields, flavour=flavour)).key for flavour in ("plain", "fine")
+    }
+    assert len(keys) == 2
+    assert taken.key not in keys
 
 
 def test_whatever_is_installed_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

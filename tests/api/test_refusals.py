@@ -2,7 +2,7 @@
 
 import pytest
 
-from lightstage.cli.refusals import refusals
+from lightstage.api.refusals import refusals
 from lightstage.formats.errors import FormatError
 from lightstage.kernels.errors import KernelError
 from lightstage.products.errors import ProductError
@@ -10,7 +10,7 @@ from lightstage.store.errors import RequestError
 
 
 @pytest.mark.parametrize("kind", [FormatError, KernelError, ProductError])
-def test_their_sentence_is_the_command_s(kind: type[Exception]) -> None:
+def test_their_sentence_is_that_of_a_wrong_request(kind: type[Exception]) -> None:
     with (
         pytest.raises(RequestError, match=r"^--at 3,4 is outside; choose another$"),
         refusals("--at ", "; choose another"),

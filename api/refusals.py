@@ -8,7 +8,7 @@ from lightstage.store.errors import RequestError
 
 @contextmanager
 def refusals(about: str = "", remedy: str = "") -> Iterator[None]:
-    """Their sentences become those of the command.
+    """Their sentences become those of a request that was wrong.
 
     Args:
         about: what stands before the sentence, such as an option.
