@@ -78,3 +78,9 @@ def test_bands_of_one_albedo_tell_nothing_of_bounces_and_change_nothing(
         errors[model] = np.nanmean(angle_deg(normal[inner].T, truth[:, inner]))
     # the noise of one map is 0.6 degrees; bands that differ by 1.5 % may add as much
     assert errors["full"] < errors["near"] + 0.6
+
+
+def test_the_distance_is_where_the_residual_is_zero() -> None:
+    found, told = self_consistent._root(lambda d: np.arctan((d - 803.217) / 40), 850.0, 400.0, 1300.0)
+    assert told
+    assert found == pytest.approx(803.217, abs=1e-6)
