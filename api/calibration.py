@@ -16,8 +16,8 @@ from lightstage.dag.stage import Finding, Result, evaluate
 from lightstage.dag.watcher import Watcher
 from lightstage.formats.png import encode_png
 from lightstage.formats.whole_file import write_whole
-from lightstage.store.calibration import Item, all_items
 from lightstage.store.errors import LightstageError, WorkError
+from lightstage.store.items import Item, all_items
 from lightstage.store.root import Store
 from lightstage.store.sessions import Session, read_session, remove_session, restore_session
 
@@ -195,7 +195,8 @@ def _result(path: Path, session: Session, items: Mapping[str, Item]) -> Result:
 def _kept(content: Mapping[str, Any], session: Session, store: Store) -> tuple[Item, Path]:
     """An item and its pictures written into a scratch folder, checked as any other, and kept in the store."""
     from lightstage.store import document
-    from lightstage.store.calibration import put_item, read_item
+    from lightstage.store.calibration import read_item
+    from lightstage.store.items import put_item
 
     folder = store.scratch.path()
     folder.mkdir(parents=True)

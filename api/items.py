@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from lightstage.dag.request import Request
-from lightstage.store.calibration import Item, all_items, find_item, original_of, put_item, read_item
+from lightstage.store.calibration import read_item
 from lightstage.store.errors import RequestError
+from lightstage.store.items import Item, all_items, find_item, original_of, put_item
 from lightstage.store.root import Store
 from lightstage.store.sessions import Session, bind_item, read_session, session_names
 

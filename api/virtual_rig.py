@@ -132,7 +132,7 @@ def capture_target(store: Store, target: str, head: Head, announce: Callable[[st
 
 
 def _check(head: Head) -> None:
-    from lightstage.store.capture import NAME_RULE, SESSION_NAME
+    from lightstage.store.names import NAME_RULE, SESSION_NAME
 
     if not SESSION_NAME.fullmatch(head.session):
         raise RequestError(f"--session '{head.session}': a name has {NAME_RULE}")

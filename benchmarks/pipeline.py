@@ -158,8 +158,8 @@ def plain_loop(raw: Path, items: dict[str, Any], facts: dict[str, Any], target: 
 
 def compare_with_plain_loop(work: Path, folder: Path, rounds: int) -> None:
     """End to end, ours against the loop, in turn."""
-    from lightstage.store.calibration import get_item
     from lightstage.store.importer import import_capture
+    from lightstage.store.items import get_item
     from lightstage.store.root import Store
     from lightstage.store.sessions import read_session
 

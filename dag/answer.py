@@ -20,7 +20,7 @@ from lightstage.store.root import Store
 if TYPE_CHECKING:
     from lightstage.dag.plan import Plan, State
     from lightstage.dag.publish import NodeResult
-    from lightstage.store.calibration import Item
+    from lightstage.store.items import Item
 
 Stages = Callable[[], Mapping[str, str]]
 """Gives the table of stages, name to module; called only where a plan is made."""
@@ -143,7 +143,8 @@ def given_items(request: Request, store: Store) -> "dict[str, Item]":
     if not request.items:
         return {}
     from lightstage.store import document
-    from lightstage.store.calibration import KINDS, put_item, read_item
+    from lightstage.store.calibration import KINDS, read_item
+    from lightstage.store.items import put_item
 
     items = {}
     for kind, path in request.items:

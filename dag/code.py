@@ -115,6 +115,11 @@ def module_libraries(modules: Sequence[str]) -> Mapping[str, str]:
     Raises:
         ModuleNotFoundError: one of them imports a library of which nobody has said whether it decides numbers.
     """
+    return _module_libraries(tuple(modules), generation())
+
+
+@functools.cache
+def _module_libraries(modules: tuple[str, ...], _generation: int) -> Mapping[str, str]:
     used = set()
     for module in module_code(modules):
         imported = {name.split(".")[0] for name in _imports_of(module)}

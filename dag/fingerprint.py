@@ -34,27 +34,47 @@ A task checks that its own process would make the same stage key and has the sam
 older code or other libraries refuses instead of storing its numbers under a key that is not theirs.
 """
 
+import functools
+import json
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from lightstage.dag.code import module_code, module_libraries
+from lightstage.dag.sources import generation
 from lightstage.dag.stage import CalibrationPicture, Params, Stage
 from lightstage.store.digest import digest_value
 
 ENGINE = 2
 
 
-def stage_parts(stage: Stage, module: str, params: Params) -> dict[str, Any]:
+def stage_parts(stage: Stage, module: str, params: Params) -> Mapping[str, Any]:
     """What the stage key is the digest of."""
-    modules = [module, *stage.modules]
-    return {
+    return _stage_parts(
+        stage.name, stage.version, (module, *stage.modules), params.model_dump_json(), generation()
+    )[0]
+
+
+def stage_key(stage: Stage, module: str, params: Params) -> str:
+    """What a stage with its parameters is called in the keys of its blocks."""
+    return _stage_parts(
+        stage.name, stage.version, (module, *stage.modules), params.model_dump_json(), generation()
+    )[1]
+
+
+@functools.cache
+def _stage_parts(
+    name: str, version: int, modules: tuple[str, ...], params: str, _generation: int
+) -> tuple[Mapping[str, Any], str]:
+    """Of many sessions alike: what has to be said of a process anew has another generation."""
+    parts = {
         "engine": ENGINE,
-        "stage": stage.name,
-        "version": stage.version,
+        "stage": name,
+        "version": version,
         "code": dict(module_code(modules)),
-        "parameters": params.model_dump(mode="json"),
+        "parameters": json.loads(params),
         "libraries": dict(module_libraries(modules)),
     }
+    return parts, digest_value(parts)
 
 
 def plain_context(context: Any) -> Any:

@@ -15,10 +15,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from lightstage.dag.stage import Params, Stage
 from lightstage.store import document
-from lightstage.store.capture import NAME_RULE
-from lightstage.store.capture import SESSION_NAME as NAME
 from lightstage.store.document import Document, nearest
 from lightstage.store.errors import MOST_PROBLEMS, RequestError, raise_all
+from lightstage.store.names import NAME_RULE
+from lightstage.store.names import SESSION_NAME as NAME
 
 
 class _NodeEntry(BaseModel):
@@ -28,6 +28,11 @@ class _NodeEntry(BaseModel):
     from_: str | tuple[str, ...] = Field((), alias="from", description="the node or nodes that it reads")
     params: dict[str, Any] | None = Field(None, description="parameters that differ from the stage's defaults")
     when: Literal["always", "asked"] = Field("always", description="asked: only when a run names it, or needs it")
+
+    @property
+    def above(self) -> tuple[str, ...]:
+        """The nodes that it reads."""
+        return (self.from_,) if isinstance(self.from_, str) else self.from_
 
 
 class _PipelineFile(BaseModel):
@@ -91,6 +96,17 @@ def load_graph(path: Path, table: Mapping[str, str], *, overrides: Sequence[str]
         RequestError: everything that is wrong, a line each.
     """
     source = document.load(path, what="a pipeline")
+    asked = (source.name, source.digest, tuple(table.items()), tuple(overrides))
+    if asked not in _checked:
+        _checked.clear()  # one is asked for again and again: for every session of a store
+        _checked[asked] = _check(source, table, overrides)
+    return _checked[asked]
+
+
+_checked: dict[tuple[object, ...], Graph] = {}
+
+
+def _check(source: Document, table: Mapping[str, str], overrides: Sequence[str]) -> Graph:
     problems: list[str] = []
     entries: dict[str, _NodeEntry] = {}
     names = document.check(source, _PipelineFile).stages
@@ -105,45 +121,51 @@ def load_graph(path: Path, table: Mapping[str, str], *, overrides: Sequence[str]
     for name, entry in entries.items():
         if len(problems) > MOST_PROBLEMS:
             raise_all(problems)  # to look for more would take long in a long file
-        at = ("stages", name)
-        if not NAME.fullmatch(name) or name == "current":
-            problems.append(
-                f"{source.at(at)}: '{document.short(name)}' cannot name a node, because it names a folder: "
-                f"{NAME_RULE}"
-            )
-        if entry.uses not in table:
-            spot = source.at((*at, "uses"))
-            problems.append(f"{spot}: there is no stage '{document.short(entry.uses)}'{nearest(entry.uses, table)}")
-            continue
-        module = table[entry.uses]
-        stage: Stage = importlib.import_module(module).STAGE
-        above = (entry.from_,) if isinstance(entry.from_, str) else entry.from_
-        params = _parameters(source, name, stage, entry, changes.get(name, {}), problems)
-        for upper in above:
-            if upper not in names:
-                spot = source.at((*at, "from"))
-                problems.append(
-                    f"{spot}: '{name}' reads '{document.short(upper)}', which is no node here"
-                    f"{nearest(upper, names)}"
-                )
-        if len(above) != stage.sources:
-            spot = source.at((*at, "from"))
-            wants = f"{stage.sources} node(s)" if stage.sources else "none: it brings in the session"
-            problems.append(
-                f"{spot}: '{name}' names {len(above)} node(s) in 'from'; the stage {stage.name} reads {wants}"
-            )
-        if params is not None:
-            nodes[name] = Node(name, stage, module, params, above, entry.when == "asked")
-    order = _order(
-        source,
-        {name: (e.from_,) if isinstance(e.from_, str) else e.from_ for name, e in entries.items()},
-        problems,
-    )
+        node = _node(source, name, entry, names, table, changes.get(name, {}), problems)
+        if node is not None:
+            nodes[name] = node
+    order = _order(source, {name: entry.above for name, entry in entries.items()}, problems)
     for name in order:
         if name in nodes:
             problems += _misfits(source, nodes[name], nodes)
     raise_all(problems)
     return Graph({name: nodes[name] for name in order}, source.name, source.digest)
+
+
+def _node(
+    source: Document,
+    name: str,
+    entry: _NodeEntry,
+    names: Mapping[str, Any],
+    table: Mapping[str, str],
+    changes: Mapping[str, Any],
+    problems: list[str],
+) -> Node | None:
+    """The node of an entry; None, and what is wrong among the problems, where it cannot be one."""
+    at = ("stages", name)
+    if not NAME.fullmatch(name) or name == "current":
+        problems.append(
+            f"{source.at(at)}: '{document.short(name)}' cannot name a node, because it names a folder: {NAME_RULE}"
+        )
+    if entry.uses not in table:
+        spot = source.at((*at, "uses"))
+        problems.append(f"{spot}: there is no stage '{document.short(entry.uses)}'{nearest(entry.uses, table)}")
+        return None
+    module = table[entry.uses]
+    stage: Stage = importlib.import_module(module).STAGE
+    params = _parameters(source, name, stage, entry, changes, problems)
+    spot = source.at((*at, "from"))
+    problems += [
+        f"{spot}: '{name}' reads '{document.short(upper)}', which is no node here{nearest(upper, names)}"
+        for upper in entry.above
+        if upper not in names
+    ]
+    if len(entry.above) != stage.sources:
+        wants = f"{stage.sources} node(s)" if stage.sources else "none: it brings in the session"
+        problems.append(
+            f"{spot}: '{name}' names {len(entry.above)} node(s) in 'from'; the stage {stage.name} reads {wants}"
+        )
+    return None if params is None else Node(name, stage, module, params, entry.above, entry.when == "asked")
 
 
 def _parse_overrides(

@@ -11,15 +11,15 @@ from functools import partial
 from typing import Any
 
 from lightstage.dag.code import keep_memory
-from lightstage.dag.fingerprint import block_key, plain_context, recipe, stage_parts
+from lightstage.dag.fingerprint import block_key, plain_context, recipe, stage_key, stage_parts
 from lightstage.dag.graph import Graph, Node
 from lightstage.dag.recall import Snapshot, item_digest
 from lightstage.dag.stage import Arrangement, CalibrationPicture, Grid, Group, Name, StageError, refusal
-from lightstage.store.calibration import Item, StoredPicture, get_item, not_valid_for
 from lightstage.store.chunks import ChunkIndex, ChunkRef
 from lightstage.store.digest import SHORT, digest_value
 from lightstage.store.errors import RequestError, raise_all
 from lightstage.store.grid import ArrayTemplate, Coordinate
+from lightstage.store.items import Item, StoredPicture, get_item, not_valid_for
 from lightstage.store.records import BlockRecord
 from lightstage.store.root import Store
 from lightstage.store.sessions import Session
@@ -307,8 +307,7 @@ def _plan_node(
         if stage.is_source:
             frames = frozenset({index[block_dims.index("frame")]})
         blocks.append(Block(index, _describe(labels, block_dims, index, places), reads, digest, frames))
-    parts = stage_parts(stage, node.module, node.params)
-    stage_key = digest_value(parts)
+    key = stage_key(stage, node.module, node.params)
     absent = tuple(kind for kind in stage.calibration if kind not in items)
     return NodePlan(
         node,
@@ -317,9 +316,9 @@ def _plan_node(
         block_dims,
         tuple(blocks),
         contexts,
-        parts,
-        stage_key,
-        recipe(stage_key, contexts, [upper.recipe for upper in above])[:SHORT],
+        stage_parts(stage, node.module, node.params),
+        key,
+        recipe(key, contexts, [upper.recipe for upper in above])[:SHORT],
         absent,
         units,
         places,

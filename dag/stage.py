@@ -43,7 +43,8 @@ def refusal(error: Exception) -> str | None:
 class Params(BaseModel):
     """Parameters of a stage: frozen, typed, every field with a default, a unit in its name and a description."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+    # what is built is built when something is read: a plan needs the parameters of few stages
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False, defer_build=True)
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightstage.compiled import offer
-from lightstage.dag.fingerprint import block_key, stage_parts
+from lightstage.dag.fingerprint import block_key, stage_key
 from lightstage.dag.plan import NodePlan, Piece
 from lightstage.dag.sources import engine, generation
 from lightstage.dag.stage import Name, Stage, function, refusal
@@ -164,7 +164,7 @@ def _fit_for(task: BlockTask) -> Stage:
         remedy = "restart the cluster, and give it the same environment" if task.elsewhere else "run again"
         if engine() != task.engine:
             raise WorkError(f"{who} has another engine (dag/ or store/) than the command had; {remedy}")
-        if digest_value(stage_parts(stage, task.stage_module, task.params)) != task.stage_key:
+        if stage_key(stage, task.stage_module, task.params) != task.stage_key:
             raise WorkError(
                 f"{who} has other code or libraries for the stage {stage.name} than the command had; {remedy}"
             )

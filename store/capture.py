@@ -20,13 +20,12 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validat
 from lightstage.hw import illuminations
 from lightstage.store import document
 from lightstage.store.errors import RequestError, raise_all
+from lightstage.store.names import NAME_RULE, SESSION_NAME
 from lightstage.store.picture import EXTENSIONS, PictureError, declared, decode, linear_from_srgb
 
 if TYPE_CHECKING:
     from lightstage.store.picture import Picture
 
-SESSION_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
-NAME_RULE = "up to 100 letters, digits, dots, dashes and underscores, of which the first is a letter or digit"
 Polarisation = Literal["parallel", "cross", "unpolarised"]
 POLARISATIONS: tuple[Polarisation, ...] = ("parallel", "cross", "unpolarised")
 
@@ -43,7 +42,7 @@ Date = Annotated[str, AfterValidator(_iso_date)]
 
 
 class _Part(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, populate_by_name=True)
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, populate_by_name=True, defer_build=True)
 
 
 class Mount(_Part):

@@ -44,10 +44,16 @@ def digest_value(value: Any) -> str:
 
 def canonical(value: Any) -> str:
     """The one text of plain data: keys sorted, no spaces, shortest float that reads back equal."""
-    return json.dumps(_plain(value), sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+    return _ENCODER.encode(_plain(value))
+
+
+_ENCODER = json.JSONEncoder(sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
 
 
 def _plain(value: Any) -> Any:
+    kind = type(value)
+    if kind is str or kind is int or kind is bool or value is None:  # most of what there is
+        return value
     if isinstance(value, float):
         return value + 0.0
     if isinstance(value, dict):

@@ -18,10 +18,10 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from lightstage.store.calibration import all_items
 from lightstage.store.digest import SHORT
 from lightstage.store.errors import DamagedFileError
 from lightstage.store.files import delete, disk_faults_named, files_below, put_back
+from lightstage.store.items import all_items
 from lightstage.store.marker import NAME, gone
 from lightstage.store.notes import note_path
 from lightstage.store.records import KINDS, blobs_named

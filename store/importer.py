@@ -17,12 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightstage.hw import illuminations
-from lightstage.store.calibration import Item, StoredPicture, get_item, items_in, put_item
-from lightstage.store.capture import NAME_RULE, SESSION_NAME, Capture, PictureFile, read_captures
+from lightstage.store.calibration import items_in
+from lightstage.store.capture import Capture, PictureFile, read_captures
 from lightstage.store.chunks import ChunkRef, Chunks, Staging
 from lightstage.store.digest import digest_bytes
 from lightstage.store.errors import RequestError, raise_all
 from lightstage.store.intake import FileError, open_regular, read_regular
+from lightstage.store.items import Item, StoredPicture, get_item, put_item
+from lightstage.store.names import NAME_RULE, SESSION_NAME
 from lightstage.store.picture import LARGEST_FILE, Declared, declared, decode
 from lightstage.store.root import Store
 from lightstage.store.sessions import Session, SessionChangedError, commit_session, present_session, show_raw

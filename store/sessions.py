@@ -29,13 +29,13 @@ from pathlib import Path
 from typing import Any
 
 from lightstage.store import document, files
-from lightstage.store.calibration import Item, StoredPicture
-from lightstage.store.capture import SESSION_NAME
 from lightstage.store.chunks import ChunkIndex, ChunkRef
 from lightstage.store.digest import SHORT, digest_bytes, digest_value
 from lightstage.store.errors import DamagedFileError, RequestError, WorkError
 from lightstage.store.files import disk_faults_named
 from lightstage.store.grid import ArrayTemplate, Coordinate, write_group
+from lightstage.store.items import Item, StoredPicture
+from lightstage.store.names import SESSION_NAME
 from lightstage.store.notes import holds, note_path, read_note, whole, write_note
 from lightstage.store.root import Store
 from lightstage.store.sealed import seal, unseal

@@ -20,11 +20,11 @@ from pathlib import Path
 from typing import Any
 
 from lightstage.store import marker
-from lightstage.store.calibration import get_item, item_names
 from lightstage.store.chunks import ChunkRef
 from lightstage.store.digest import digest_bytes
 from lightstage.store.errors import LightstageError, RequestError, WorkError
 from lightstage.store.files import delete, disk_faults_named, files_below, replace
+from lightstage.store.items import get_item, item_names
 from lightstage.store.marker import FORMAT, DamagedMarkerError, Marker
 from lightstage.store.notes import digest_of, own_place
 from lightstage.store.records import BlockRecord

@@ -13,10 +13,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from lightstage.store.calibration import Item, get_item, item_names, original_of
 from lightstage.store.digest import SHORT, digest_bytes
 from lightstage.store.errors import DamagedFileError, LightstageError, RequestError, WorkError
 from lightstage.store.files import files_below, link_or_copy, replace
+from lightstage.store.items import Item, get_item, item_names, original_of
 from lightstage.store.notes import Note, chunk_file, digest_of, note_path, read_note
 from lightstage.store.records import KINDS, blobs_named, intact_record
 from lightstage.store.root import Store

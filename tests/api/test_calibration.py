@@ -7,7 +7,7 @@ import pytest
 
 import lightstage
 from lightstage.api.calibration import changes_since, measure
-from lightstage.store.calibration import Item, item_digest, put_item
+from lightstage.store.items import Item, item_digest, put_item
 from lightstage.store.root import Store
 from tests.scenes import sphere_capture, write_capture
 

@@ -573,7 +573,7 @@ def test_a_worker_with_other_code_refuses(
 ) -> None:
 
     monkeypatch.setattr(dag_task, "_fit", set())
-    monkeypatch.setattr(dag_task, "stage_parts", lambda *_: {"code": "older"})
+    monkeypatch.setattr(dag_task, "stage_key", lambda *_: "of older code")
     done = lightstage("run", "--session", "ball", "--set", "normals.method=ratio")
     assert done.code == 1
     assert "this process has other code or libraries for the stage normals than the command had" in done.err

@@ -7,9 +7,10 @@ from pathlib import Path
 import pytest
 
 from lightstage.store import importer, sessions
-from lightstage.store.calibration import Item, put_item, read_item
+from lightstage.store.calibration import read_item
 from lightstage.store.errors import WorkError
 from lightstage.store.importer import import_capture
+from lightstage.store.items import Item, put_item
 from lightstage.store.root import Store
 from lightstage.store.sessions import SessionChangedError, bind_item, commit_session, read_session, remove_session
 from tests.scenes import one_camera_capture

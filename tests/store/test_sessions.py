@@ -11,9 +11,9 @@ import pytest
 import xarray
 import yaml
 
-from lightstage.store.calibration import get_item
 from lightstage.store.errors import RequestError
 from lightstage.store.importer import import_capture
+from lightstage.store.items import get_item
 from lightstage.store.root import Store
 from lightstage.store.sessions import read_session, remove_session, session_names
 from tests.scenes import STATIC, one_camera_capture
