@@ -40,8 +40,8 @@ def dermis(volumes: Array, passing: Array, *, saturation: float, vessel_radius_u
         saturation: of the blood. vessel_radius_um: a; 0 for blood that is spread evenly.
     """
     blood = absorption.blood_per_cm(saturation)
-    if vessel_radius_um > 0:
-        depth = 2 * blood * vessel_radius_um * 1e-4
+    depth = 2 * blood * vessel_radius_um * 1e-4
+    if depth.min() > 0:  # a radius may be too small to be multiplied
         blood = blood * -np.expm1(-depth) / depth
     return np.asarray(_seen(np.asarray(volumes)[:, None] * blood + _baseline_per_cm()) @ passing.T)
 
