@@ -13,7 +13,7 @@ import platform
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -169,8 +169,11 @@ def _fit_for(task: BlockTask) -> Stage:
                 f"{who} has other code or libraries for the stage {stage.name} than the command had; {remedy}"
             )
         _fit.add(said)
-    numba = sys.modules.get("numba")
-    if numba is not None and numba.config.DISABLE_JIT:
+    if "numba" in sys.modules:
+        import numba  # which waits, should another thread be about to load it
+
+        if not numba.config.DISABLE_JIT:
+            return stage
         raise WorkError(
             f"{_here(task)} has numba's compiler turned off (NUMBA_DISABLE_JIT, or .numba_config.yaml), which "
             "gives other numbers under the same keys; turn it on"
@@ -191,11 +194,20 @@ def _call_kernel(
         each = stage.inputs[name].how == "each"
         inputs[name] = read_piece(pieces[0], refs[name][0], store) if each else Pieces(pieces, refs[name], store)
     prepared = prepare(stage, task.stage_module, task.context, task.context_digest, task.params)
-    kernel = function(stage.kernel)
+    kernel = _loaded(stage.kernel)
     accepted = inspect.signature(kernel).parameters
     chosen = {name: value for name, value in task.params if name in accepted and name not in prepared}
     outputs: Mapping[str, Any] = kernel(**inputs, **prepared, **chosen)
     return outputs
+
+
+_loading = threading.Lock()
+
+
+def _loaded(name: str) -> Callable[..., Any]:
+    """A named function. One thread at a time: two that import the same library from two ends see it half made."""
+    with _loading:
+        return function(name)
 
 
 class Pieces(Mapping[Name, NDArray[Any]]):
@@ -258,7 +270,7 @@ def prepare(stage: Stage, module: str, context: Mapping[str, Any], digest: str, 
         if key not in _prepared:
             while len(_prepared) >= _MOST_PREPARED:
                 _prepared.pop(next(iter(_prepared)))
-            preparation = function(stage.prepare)
+            preparation = _loaded(stage.prepare)
             accepted = inspect.signature(preparation).parameters
             chosen = {name: value for name, value in params if name in accepted and name not in context}
             _prepared[key] = preparation(**{**context, **chosen})
@@ -295,8 +307,9 @@ _limited: list[Any] = []
 
 def _single_threaded_libraries() -> None:
     """Dask has the threads: those of OpenCV and BLAS would multiply with them, and decide results' last bits."""
-    import cv2
-    from threadpoolctl import threadpool_limits
+    with _loading:
+        import cv2
+        from threadpoolctl import threadpool_limits
 
     if cv2.getNumThreads() != 1:
         cv2.setNumThreads(1)

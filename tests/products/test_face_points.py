@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks.face_scenes import view
 
 from lightstage.kernels.errors import KernelError
 from lightstage.kernels.faces.face_frame import bring, turned
 from lightstage.products.face_points import find_points, mean_face
+from tests.face_scenes import view
 
 
 @pytest.mark.parametrize("seed", [5, 6])

@@ -3,8 +3,6 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from lightstage.dag.stage import Arrangement, Grid, Input, Items, Needs, Output, Params, Stage
@@ -14,11 +12,6 @@ class ScaledParams(Params):
     """What counts are multiplied with."""
 
     gain: float = Field(1.0, description="factor")
-
-
-def scaled(raw: NDArray[np.uint16], *, exposure: float, gain: float) -> Mapping[str, Any]:
-    """(polarisation, y, x) counts of one picture, scaled."""
-    return {"value": (raw * (gain / exposure)).astype(np.float32)}
 
 
 def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: ScaledParams) -> Arrangement:
@@ -44,5 +37,5 @@ STAGE = Stage(
     arrange=_arrange,
     context=_context,
     prepared=("exposure",),
-    kernel=scaled,
+    kernel="tests.store.tiny.kernels:scaled",
 )

@@ -3,9 +3,6 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from lightstage.dag.stage import Arrangement, Grid, Group, Input, Output, Params, Stage
 
 
@@ -13,18 +10,10 @@ class SummedParams(Params):
     """Nothing to choose."""
 
 
-def summed(value: Sequence[NDArray[np.float32]]) -> Mapping[str, Any]:
-    """(polarisation, y, x) of each frame, added up in order."""
-    total = np.zeros(value[0].shape, np.float64)
-    for one in value:
-        total += one
-    return {"total": total.astype(np.float32)}
-
-
 def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: SummedParams) -> Arrangement:
     (above,) = grids
     frames, bands = above.sizes["frame"], above.sizes["band"]
-    groups = tuple(Group({"value": [{"frame": i, "band": b} for i in range(frames)]}) for b in range(bands))
+    groups = tuple(Group({"value": {i: {"frame": i, "band": b} for i in range(frames)}}) for b in range(bands))
     names = ("band", "polarisation")
     sizes = {name: above.sizes[name] for name in (*names, "y", "x")}
     return Arrangement(Grid(sizes, {name: above.labels[name] for name in names}), groups)
@@ -39,5 +28,5 @@ STAGE = Stage(
     outputs={"total": Output(("band", "polarisation", "y", "x"), "float32", ("polarisation", "y", "x"))},
     blocks=("band",),
     arrange=_arrange,
-    kernel=summed,
+    kernel="tests.store.tiny.kernels:summed",
 )
