@@ -17,6 +17,7 @@ from lightstage.dag.stage import Params, Stage
 from lightstage.store import document
 from lightstage.store.document import Document, nearest
 from lightstage.store.errors import MOST_PROBLEMS, RequestError, raise_all
+from lightstage.store.intake import FileError, read_regular
 from lightstage.store.names import NAME_RULE
 from lightstage.store.names import SESSION_NAME as NAME
 
@@ -95,15 +96,22 @@ def load_graph(path: Path, table: Mapping[str, str], *, overrides: Sequence[str]
     Raises:
         RequestError: everything that is wrong, a line each.
     """
-    source = document.load(path, what="a pipeline")
-    asked = (source.name, source.digest, tuple(table.items()), tuple(overrides))
-    if asked not in _checked:
+    text = _text(path)
+    asked = (str(path), text, tuple(table.items()), tuple(overrides))
+    if text is None or asked not in _checked:
         _checked.clear()  # one is asked for again and again: for every session of a store
-        _checked[asked] = _check(source, table, overrides)
+        _checked[asked] = _check(document.load(path, what="a pipeline"), table, overrides)
     return _checked[asked]
 
 
 _checked: dict[tuple[object, ...], Graph] = {}
+
+
+def _text(path: Path) -> bytes | None:
+    try:
+        return read_regular(path, document.MOST_BYTES)
+    except FileError:
+        return None  # `document` says why
 
 
 def _check(source: Document, table: Mapping[str, str], overrides: Sequence[str]) -> Graph:

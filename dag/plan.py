@@ -283,6 +283,7 @@ def _plan_node(
     units = _inherited(stage.units, [upper.units for upper in above])
     places = _inherited(stage.places, [upper.places for upper in above])
     contexts: dict[str, Mapping[str, Any]] = {}
+    before, before_digest = None, ""
     blocks = []
     upper_named = {upper.node.name: upper for upper in above}
     ranges = [range(grid.sizes[dim]) for dim in block_dims]
@@ -293,8 +294,10 @@ def _plan_node(
         digest = ""
         if stage.context is not None:
             context = stage.context(told, facts, items, node.params)
-            digest = digest_value(plain_context(context))
-            contexts.setdefault(digest, context)
+            if context != before:  # most blocks of a node have the context of the block before
+                before, before_digest = context, digest_value(plain_context(context))
+                contexts.setdefault(before_digest, context)
+            digest = before_digest
         reads = _reads(node, above, grid, block_dims, index, group, arrangement)
         frames = frozenset(
             itertools.chain.from_iterable(
