@@ -7,6 +7,7 @@ only with --debug.
 import argparse
 import contextlib
 import errno
+import gc
 import os
 import re
 import sys
@@ -25,6 +26,8 @@ from lightstage.store.errors import (
     WorkError,
 )
 
+# a command makes the functions of a hundred modules; looking through them for circles took a tenth of its time
+gc.set_threshold(20_000)
 # pydantic looks through all that is installed for plugins of its own, an eighth of a short command's time
 os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
 

@@ -185,6 +185,10 @@ def _facts(module: str) -> _Facts:
     return _memory().facts(module, source(module))
 
 
+_MOST_TEXTS = 1000
+"""That are remembered: some versions of each of our modules."""
+
+
 @dataclass
 class _Memory:
     """What was found of texts, in this process and in those before it."""
@@ -218,7 +222,8 @@ class _Memory:
         if not self.learned or self.path is None:
             return
         self.learned = False
-        modules = {key: [facts.digest, facts.imports] for key, facts in self.known.items()}
+        newest = list(self.known.items())[-_MOST_TEXTS:]
+        modules = {key: [facts.digest, facts.imports] for key, facts in newest}
         with contextlib.suppress(OSError):
             descriptor, temporary = tempfile.mkstemp(prefix=".", suffix=".part", dir=self.path.parent)
             with open(descriptor, "wb") as file:

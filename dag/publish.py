@@ -1,11 +1,11 @@
 """From known blocks to result groups: what a group is called, what it says of itself, and how it was made."""
 
-import platform
-from collections.abc import Mapping, Set
+import math
+import os
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from statistics import fmean
 from typing import Any
 
 from lightstage.dag.fingerprint import plain_context
@@ -67,7 +67,7 @@ def _publish(
             "computed": len(computed),
             "seconds": sum(record.seconds for record in chosen),
             "bytes": sum(ref.size for ref in files.values()),
-            "host": platform.node(),
+            "host": os.uname().nodename,
             "finished": datetime.now(UTC).isoformat(timespec="seconds"),
         }
         for _ in range(3):  # `gc` may take it away before `current` names it
@@ -104,7 +104,7 @@ def result_attrs(state: State, node: NodeState) -> dict[str, Any]:
     chosen = [r for r, selected in zip(node.records, node.selected, strict=True) if r is not None and selected]
     names = sorted({name for record in chosen for name in record.stats})
     # a block whose pictures do not tell a figure has none
-    stats = {name: fmean(r.stats[name] for r in chosen if name in r.stats) for name in names}
+    stats = {name: _mean([r.stats[name] for r in chosen if name in r.stats]) for name in names}
     attrs = {**{k: v for k, v in plan.grid.attrs.items() if v != ""}, **stats}
     warnings = [sentence for record in chosen for sentence in record.warnings]
     if warnings:
@@ -123,6 +123,10 @@ def result_attrs(state: State, node: NodeState) -> dict[str, Any]:
         "parameters": plan.node.params.model_dump(mode="json"),
         "calibration_items": {k: items[k].name for k in plan.node.stage.calibration if k in items},
     }
+
+
+def _mean(values: Sequence[float]) -> float:
+    return math.fsum(values) / len(values)
 
 
 def plain_parts(plan: NodePlan) -> dict[str, Any]:

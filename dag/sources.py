@@ -93,16 +93,18 @@ def source(module: str) -> bytes:
 
 def module_file(name: str) -> Path | None:
     """Where a module lies, None where there is none. Python's own finder would import what is around it."""
-    top, *below = name.split(".")
+    top, _, below = name.partition(".")
     spec = importlib.util.find_spec(top)
     if spec is None:
         return None
+    if not below:
+        return None if spec.origin is None else Path(spec.origin)
     for folder in spec.submodule_search_locations or ():
-        plain = Path(folder, *below)
-        for path in (plain.with_suffix(".py") if below else None, plain / "__init__.py"):
-            if path is not None and path.is_file():
-                return path
-    return Path(spec.origin) if not below and spec.origin is not None else None
+        plain = os.path.join(folder, *below.split("."))
+        for file in (f"{plain}.py", f"{plain}/__init__.py"):
+            if os.path.isfile(file):
+                return Path(file)
+    return None
 
 
 def outdated(sources: Sources) -> list[str]:

@@ -9,7 +9,6 @@ size, depth and number of values are limited as they are met. Numbers are finite
 nobody further on has to think of an overflow.
 """
 
-import difflib
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -407,6 +406,8 @@ def _sentences(
 
 def nearest(word: str, known: Iterable[str]) -> str:
     """`; did you mean 'x'?`, or the list of what is known."""
+    import difflib
+
     options = sorted(set(known))
     close = difflib.get_close_matches(word[:_SHOWN], options[:_COMPARED], n=1, cutoff=0.5)
     if close:
