@@ -1,9 +1,10 @@
 """Processors that this one can be taken for: libraries pick other instructions on each, and so other last bits.
 
-`python -m tests.processors [PYTEST OPTION...]` runs the tests under each setting and says which one is running
-(`make test-processors`).
+`python -m tests.processors [--only SETTING] [PYTEST OPTION...]` runs the tests under each setting, or one of them, and
+says which one is running (`make test-processors`).
 """
 
+import argparse
 import os
 import shutil
 import subprocess
@@ -113,11 +114,15 @@ def apart(name: str, one: NDArray[Any], other: NDArray[Any]) -> tuple[NDArray[np
     return (off > 1) | lost, off
 
 
-def main(words: list[str]) -> int:
+def main(arguments: list[str]) -> int:
     """Run pytest under every setting; 1 when any run failed."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--only", choices=SETTINGS, action="append", help="this setting; may be given again")
+    options, words = parser.parse_known_args(arguments)
+    chosen = {name: SETTINGS[name] for name in options.only or SETTINGS}
     failed = []
     with tempfile.TemporaryDirectory() as compiled:
-        for name, variables in SETTINGS.items():
+        for name, variables in chosen.items():
             said = " ".join(f"{key}={value}" for key, value in variables.items()) or "nothing set"
             sys.stdout.write(f"\n== {name}: {said}\n")
             sys.stdout.flush()
@@ -126,7 +131,7 @@ def main(words: list[str]) -> int:
             if done.returncode:
                 failed.append(name)
     sys.stdout.write(
-        f"\nfailed under: {', '.join(failed)}\n" if failed else f"\ngreen under: {', '.join(SETTINGS)}\n"
+        f"\nfailed under: {', '.join(failed)}\n" if failed else f"\ngreen under: {', '.join(chosen)}\n"
     )
     return int(bool(failed))
 
