@@ -66,15 +66,16 @@ def run(
                     store.scratch.sweep()  # the processes have ended, their folders are left
 
 
-def _heal(damage: DamagedChunkError, store: Store, watcher: Watcher) -> None:
-    found = verify(store).damaged
-    for one in found:
-        watcher.warn(f"{one.path} was damaged: {one.belongs_to}; {one.remedy}")
+def _heal(error: DamagedChunkError, store: Store, watcher: Watcher) -> None:
+    damaged = verify(store).damaged
+    for damage in damaged:
+        watcher.warn(f"{damage.path} was damaged: {damage.belongs_to}; {damage.remedy}")
     # damage to another session is told, and does not stop this one
-    lasting = [one for one in found if not one.recomputable and one.path == store.chunks.path(damage.blob)]
-    if lasting or not (found or not store.chunks.path(damage.blob).exists()):
+    path = store.chunks.path(error.blob)
+    lasting = [damage for damage in damaged if not damage.recomputable and damage.path == path]
+    if lasting or (path.exists() and not damaged):
         remedy = lasting[0].remedy if lasting else "check the disk"
-        raise WorkError(f"{damage}; {remedy}") from None
+        raise WorkError(f"{error}; {remedy}") from None
 
 
 @contextlib.contextmanager
@@ -175,12 +176,11 @@ class _Collector:
         name, index = key[0].removesuffix(self._suffix), key[1]
         if not record.reused:
             self._computed.add(record.key)
-        if "not_deterministic" in record.stats:
+        if record.contradicted:
             node = self._state.nodes[name].plan
             self._watcher.warn(
                 f"{name}, {node.blocks[index].label}: computed again, it came out different; the first result "
                 "stays. The kernel is not deterministic, or this machine computes otherwise than the one before"
             )
-            record = replace(record, stats={k: v for k, v in record.stats.items() if k != "not_deterministic"})
         self._state.nodes[name].records[index] = record
         self._watcher.done(name, computed=not record.reused)

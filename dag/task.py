@@ -108,7 +108,10 @@ def execute(task: BlockTask, *above: BlockRecord) -> BlockRecord:
         for name, pieces in task.reads.items()
     }
     values = {
-        name: [piece.key_of([ref.value for ref in of]) for piece, of in zip(task.reads[name], pieces, strict=True)]
+        name: [
+            piece.key_of([ref.value for ref in chunks])
+            for piece, chunks in zip(task.reads[name], pieces, strict=True)
+        ]
         for name, pieces in refs.items()
     }
     key = block_key(task.stage_key, task.context_digest, values)
@@ -140,8 +143,8 @@ def execute(task: BlockTask, *above: BlockRecord) -> BlockRecord:
     standing, same = store.records.put_block(record)
     if not same:
         if all(store.chunks.has(ref) for ref in standing.chunks()):
-            note = {} if _differ_by_rounding(task, standing, record, store) else {"not_deterministic": 1.0}
-            return replace(standing, stats={**standing.stats, **note}, reused=False)
+            rounded = _differ_by_rounding(task, standing, record, store)
+            return replace(standing, contradicted=not rounded, reused=False)
         store.records.renew_block(record)
     elif known is not None:
         store.records.renew_block(record)  # the same values, whose chunks had been lost
@@ -158,30 +161,30 @@ def _fit_for(task: BlockTask) -> Stage:
         WorkError: it would compute something else than the process that made the key.
     """
     stage: Stage = import_module(task.stage_module).STAGE
-    said = (task.stage_key, task.engine, generation())
-    if said not in _fit:
-        who = _here(task)
+    identity = (task.stage_key, task.engine, generation())
+    if identity not in _fit:
+        process = _process_name(task)
         remedy = "restart the cluster, and give it the same environment" if task.elsewhere else "run again"
         if engine() != task.engine:
-            raise WorkError(f"{who} has another engine (dag/ or store/) than the command had; {remedy}")
+            raise WorkError(f"{process} has another engine (dag/ or store/) than the command had; {remedy}")
         if stage_key(stage, task.stage_module, task.params) != task.stage_key:
             raise WorkError(
-                f"{who} has other code or libraries for the stage {stage.name} than the command had; {remedy}"
+                f"{process} has other code or libraries for the stage {stage.name} than the command had; {remedy}"
             )
-        _fit.add(said)
+        _fit.add(identity)
     if "numba" in sys.modules:
         import numba  # which waits, should another thread be about to load it
 
         if not numba.config.DISABLE_JIT:
             return stage
         raise WorkError(
-            f"{_here(task)} has numba's compiler turned off (NUMBA_DISABLE_JIT, or .numba_config.yaml), which "
-            "gives other numbers under the same keys; turn it on"
+            f"{_process_name(task)} has numba's compiler turned off (NUMBA_DISABLE_JIT, or .numba_config.yaml), "
+            "which gives other numbers under the same keys; turn it on"
         )
     return stage
 
 
-def _here(task: BlockTask) -> str:
+def _process_name(task: BlockTask) -> str:
     return f"a worker on {platform.node()}" if task.elsewhere else "this process"
 
 
@@ -214,17 +217,17 @@ class Pieces(Mapping[Name, NDArray[Any]]):
     """The arrays of a group by name, each read from the store when it is asked for."""
 
     def __init__(self, pieces: Sequence[Piece], refs: Sequence[Sequence[ChunkRef]], store: Store) -> None:
-        self._of = {piece.name: (piece, chunks) for piece, chunks in zip(pieces, refs, strict=True)}
+        self._pieces = {piece.name: (piece, chunks) for piece, chunks in zip(pieces, refs, strict=True)}
         self._store = store
 
     def __len__(self) -> int:
-        return len(self._of)
+        return len(self._pieces)
 
     def __iter__(self) -> Iterator[Name]:
-        return iter(self._of)
+        return iter(self._pieces)
 
     def __getitem__(self, name: Name) -> NDArray[Any]:
-        return read_piece(*self._of[name], self._store)
+        return read_piece(*self._pieces[name], self._store)
 
 
 def read_piece(piece: Piece, refs: Sequence[ChunkRef], store: Store) -> NDArray[Any]:
@@ -250,8 +253,8 @@ def _write(
             )
         written[name] = tuple(store.chunks.put(part) for part in array.reshape(-1, *chunk))
     # a figure that a block does not tell is NaN to the kernel, and not said of the result
-    told = outputs.get("stats", {}).items()
-    stats = {name: float(value) for name, value in told if np.isfinite(value)}
+    figures = outputs.get("stats", {}).items()
+    stats = {name: float(value) for name, value in figures if np.isfinite(value)}
     return written, stats, tuple(outputs.get("warnings", ()))
 
 
@@ -281,7 +284,7 @@ _stores: dict[Path, Store] = {}
 
 
 def _store(task: BlockTask) -> Store:
-    check_store(task.store_root, task.proof, worker=_here(task) if task.elsewhere else None)
+    check_store(task.store_root, task.proof, worker=_process_name(task) if task.elsewhere else None)
     if task.store_root not in _stores:
         _stores[task.store_root] = Store(task.store_root, create=False)
     return _stores[task.store_root]
@@ -291,10 +294,10 @@ def check_store(root: Path, proof: Path, *, worker: str | None = None) -> None:
     """Raise WorkError unless a folder is the store that the run means: a copy in its place lacks the run's file."""
     if (root / proof).is_file():
         return
-    found = "another store, a copy perhaps," if (root / "store.json").is_file() else "no store"
+    occupant = "another store, a copy perhaps," if (root / "store.json").is_file() else "no store"
     if worker is not None:
-        raise WorkError(f"{worker} sees {found} at {root}; let it see there what this command sees")
-    raise WorkError(f"there is {found} at {root} now: it was moved, or its disk is gone; nothing was lost")
+        raise WorkError(f"{worker} sees {occupant} at {root}; let it see there what this command sees")
+    raise WorkError(f"there is {occupant} at {root} now: it was moved, or its disk is gone; nothing was lost")
 
 
 def lend(store: Store) -> None:

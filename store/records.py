@@ -40,6 +40,9 @@ class BlockRecord:
     trace: Mapping[str, Any] = field(default_factory=dict)
     seconds: float = 0.0
     reused: bool = field(default=True, compare=False)
+    """Whether it was there; this and what follows is of one run, and not stored."""
+    contradicted: bool = field(default=False, compare=False)
+    """Whether it was computed again by this run, with other values."""
 
     def chunks(self) -> Iterator[ChunkRef]:
         """Every chunk of every array."""
