@@ -99,14 +99,14 @@ def module_code(modules: Sequence[str]) -> Mapping[str, str]:
 
 @functools.cache
 def _module_code(modules: tuple[str, ...], _generation: int) -> Mapping[str, str]:
-    found: dict[str, str] = {}
+    digests: dict[str, str] = {}
     waiting = list(modules)
     while waiting:
         name = waiting.pop()
-        if name not in found:
-            found[name] = _facts(name).digest
+        if name not in digests:
+            digests[name] = _facts(name).digest
             waiting += [imported for imported in _imports_of(name) if _counts(imported, name)]
-    return dict(sorted(found.items()))
+    return dict(sorted(digests.items()))
 
 
 def module_libraries(modules: Sequence[str]) -> Mapping[str, str]:
@@ -214,8 +214,10 @@ class _Memory:
         with contextlib.suppress(OSError, DamagedFileError, ValueError, KeyError, TypeError):
             if os.stat(self.path).st_uid == os.geteuid():
                 plain = unseal(self.path.read_bytes(), self.path)["modules"]
-                found = {key: _Facts(digest, tuple(map(tuple, names))) for key, (digest, names) in plain.items()}
-                self.known = found | self.known
+                remembered = {
+                    key: _Facts(digest, tuple(map(tuple, names))) for key, (digest, names) in plain.items()
+                }
+                self.known = remembered | self.known
 
     def keep(self) -> None:
         """Write down what was found; where that cannot be, the next process finds it again."""

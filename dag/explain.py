@@ -47,12 +47,12 @@ def _node_status(state: State, name: str, node: NodeState, store: Store) -> Node
         # computed blocks without their result folder: a run that was stopped before it published
         condition = "fresh" if folder == wanted else "stale" if folder else "partial"
         if condition == "fresh":
-            made = provenance(session, name, wanted, store)
-            if made is None or lacks(store.results / session / name / wanted, made):
+            record = provenance(session, name, wanted, store)
+            if record is None or lacks(store.results / session / name / wanted, record):
                 condition = "partial"  # somebody has deleted files of the group; a run links them again
     elif folder is not None:
-        made = provenance(session, name, folder, store) or {}
-        whole = len(made.get("inputs", {})) == len(node.records)
+        record = provenance(session, name, folder, store) or {}
+        whole = len(record.get("inputs", {})) == len(node.records)
         condition = "stale" if whole or not folder.startswith(node.plan.recipe) else "partial"
     else:
         condition = "partial" if known else "missing"
@@ -84,7 +84,7 @@ def why(state: State, name: str, store: Store) -> tuple[str, list[Reason]]:
             f"{name} has no result yet: {len(node.missing())} of {how.blocks} blocks have to be computed",
             [],
         )
-    made = provenance(session, name, how.folder, store) or {}
+    record = provenance(session, name, how.folder, store) or {}
     if how.condition != "fresh":
         for upper in _with_above(state, name):
             reasons += _against_now(state, upper, store)
@@ -93,17 +93,17 @@ def why(state: State, name: str, store: Store) -> tuple[str, list[Reason]]:
             f"{name} is {how.condition}: {todo} of {how.blocks} blocks have to be computed or checked",
             reasons,
         )
-    before = made.get("before")
+    before = record.get("before")
     older = provenance(session, name, before, store) if before and before != how.folder else None
     if older is None:
         return (
-            f"{name} is fresh: its {how.blocks} blocks were computed on {made.get('finished')}; "
+            f"{name} is fresh: its {how.blocks} blocks were computed on {record.get('finished')}; "
             "no result stood before it",
             [],
         )
-    now_made, old_made = _lineage(state, name, how.folder, store), _lineage(state, name, str(before), store)
+    present, former = _lineage(state, name, how.folder, store), _lineage(state, name, str(before), store)
     for upper in _with_above(state, name):
-        reasons += _between(upper, old_made.get(upper, {}), now_made.get(upper, {}))
+        reasons += _between(upper, former.get(upper, {}), present.get(upper, {}))
     return f"{name} is fresh; against the result before it ({before}) these inputs changed", reasons
 
 
@@ -111,12 +111,12 @@ def _lineage(state: State, name: str, folder: str, store: Store) -> dict[str, Ma
     """How a result was made, and those that it was made from, by node."""
     session = state.plan.session.name
     folders = {name: folder}
-    made: dict[str, Mapping[str, Any]] = {}
+    records: dict[str, Mapping[str, Any]] = {}
     for node in reversed(_with_above(state, name)):
         if node in folders:
-            made[node] = provenance(session, node, folders[node], store) or {}
-            folders |= {upper: f for upper, f in made[node].get("above", {}).items() if f is not None}
-    return made
+            records[node] = provenance(session, node, folders[node], store) or {}
+            folders |= {upper: f for upper, f in records[node].get("above", {}).items() if f is not None}
+    return records
 
 
 def _with_above(state: State, name: str) -> list[str]:
@@ -134,11 +134,11 @@ def _read(session: str, name: str, folder: str | None, store: Store) -> Mapping[
 def _against_now(state: State, name: str, store: Store) -> list[Reason]:
     node = state.nodes[name]
     session = state.plan.session.name
-    made = _read(session, name, current(session, name, store), store)
-    if not made:
+    record = _read(session, name, current(session, name, store), store)
+    if not record:
         return [Reason(name, "result", "none", "to be computed")]
     now = {"parts": plain_parts(node.plan), "inputs": _inputs_now(state, node)}
-    return _between(name, made, now)
+    return _between(name, record, now)
 
 
 def _inputs_now(state: State, node: NodeState) -> dict[str, list[str]]:

@@ -26,14 +26,14 @@ class _NodeEntry(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
     uses: str = Field(description="the stage")
-    from_: str | tuple[str, ...] = Field((), alias="from", description="the node or nodes that it reads")
+    sources: str | tuple[str, ...] = Field((), alias="from", description="the node or nodes that it reads")
     params: dict[str, Any] | None = Field(None, description="parameters that differ from the stage's defaults")
     when: Literal["always", "asked"] = Field("always", description="asked: only when a run names it, or needs it")
 
     @property
     def above(self) -> tuple[str, ...]:
         """The nodes that it reads."""
-        return (self.from_,) if isinstance(self.from_, str) else self.from_
+        return (self.sources,) if isinstance(self.sources, str) else self.sources
 
 
 class _PipelineFile(BaseModel):
@@ -213,8 +213,8 @@ def _parameters(
             if key in changes:
                 problems.append(f"--set {name}.{key}={document.short(changes[key])}: {text}")
             else:
-                of = f" (parameters of {stage.name})" if text.startswith("unknown key") else ""
-                problems.append(f"{source.at((*where, *at))}: {text}{of}")
+                owner = f" (parameters of {stage.name})" if text.startswith("unknown key") else ""
+                problems.append(f"{source.at((*where, *at))}: {text}{owner}")
         return None
 
 
@@ -232,7 +232,7 @@ def _order(source: Document, above: Mapping[str, Sequence[str]], problems: list[
 
 def _misfits(source: Document, node: Node, nodes: Mapping[str, Node]) -> list[str]:
     """Inputs whose array or dimensions are not what the node above puts out."""
-    found = []
+    misfits = []
     spot = source.at(("stages", node.name, "from"))
     for spec in node.stage.inputs.values():
         if spec.source >= len(node.above) or node.above[spec.source] not in nodes:
@@ -243,13 +243,13 @@ def _misfits(source: Document, node: Node, nodes: Mapping[str, Node]) -> list[st
             continue
         if output is None:
             have = ", ".join(upper.stage.outputs)
-            found.append(
+            misfits.append(
                 f"{spot}: '{node.name}' reads the array '{spec.array}', and '{upper.name}' "
                 f"(stage {upper.stage.name}) puts out {have}"
             )
         elif output.dims != spec.dims:
-            found.append(
+            misfits.append(
                 f"{spot}: '{node.name}' reads {spec.array}({', '.join(spec.dims)}), and '{upper.name}' "
                 f"(stage {upper.stage.name}) puts out {spec.array}({', '.join(output.dims)})"
             )
-    return list(dict.fromkeys(found))
+    return list(dict.fromkeys(misfits))

@@ -117,7 +117,7 @@ class Plan:
             taken,
             session=self.session.digest,
             pipeline=self.graph.digest,
-            items={kind: _said_by(item) for kind, item in self.items.items()},
+            items={kind: _content_digest(item) for kind, item in self.items.items()},
         )
 
 
@@ -148,11 +148,11 @@ class NodeState:
         """Whether every selected block is known, and there is one."""
         return any(self.selected) and not self.missing()
 
-    def manifest(self, said: Mapping[str, Any]) -> str:
+    def manifest(self, attrs: Mapping[str, Any]) -> str:
         """Digest of the values of all selected blocks, and of what the group says beside them: names the content.
 
         Args:
-            said: the group's attributes; labels are added here.
+            attrs: the group's attributes; labels are added.
         """
         content = {
             ",".join(map(str, block.index)): {
@@ -165,7 +165,7 @@ class NodeState:
             name: [list(dims), [None if v != v else v for v in values]]
             for name, (dims, values) in self.plan.grid.labels.items()
         }
-        return digest_value({"blocks": content, "labels": labels, "said": dict(said)})[:SHORT]
+        return digest_value({"blocks": content, "labels": labels, "said": dict(attrs)})[:SHORT]
 
     def chunks(self) -> dict[str, dict[ChunkIndex, ChunkRef]]:
         """Per array, the selected chunks by their place."""
@@ -188,8 +188,8 @@ class State:
     frames: tuple[int, int] | None = None
 
 
-def _said_by(item: Item) -> str:
-    pictures = {camera: picture.as_plain() for camera, picture in item.pictures.items()}
+def _content_digest(item: Item) -> str:
+    pictures = {name: picture.as_plain() for name, picture in item.pictures.items()}
     return item_digest(item.kind, item.digest, item.values, item.notes, pictures)
 
 
@@ -257,8 +257,8 @@ def _plain_items(items: Mapping[str, Item], store: Store) -> dict[str, dict[str,
         plain[kind] = dict(item.values)
         if item.pictures:
             plain[kind]["pictures"] = {
-                camera: CalibrationPicture(picture.chunk.value, partial(StoredPicture.load, picture, store))
-                for camera, picture in item.pictures.items()
+                name: CalibrationPicture(picture.chunk.value, partial(StoredPicture.load, picture, store))
+                for name, picture in item.pictures.items()
             }
     return plain
 
@@ -290,10 +290,10 @@ def _plan_node(
     for i, index in enumerate(itertools.product(*ranges)):
         labels = _labels(grid, block_dims, index)
         group = arrangement.groups[i] if arrangement.groups else None
-        told = {**labels, **(group.labels if group else {})}
+        block_labels = {**labels, **(group.labels if group else {})}
         digest = ""
         if stage.context is not None:
-            context = stage.context(told, facts, items, node.params)
+            context = stage.context(block_labels, facts, items, node.params)
             if context != before:  # most blocks of a node have the context of the block before
                 before, before_digest = context, digest_value(plain_context(context))
                 contexts.setdefault(before_digest, context)
@@ -370,8 +370,8 @@ def _reads(
             raise StageError(f"{upper.node.name} makes no '{spec.array}' with its parameters; it is needed here")
         array = upper.arrays[spec.array]
         if spec.how == "each":
-            here = dict(zip(dims, index, strict=True))
-            chosen: Mapping[Name, Mapping[str, int]] = {"": {dim: here[dim] for dim in array.dims if dim in here}}
+            place = dict(zip(dims, index, strict=True))
+            chosen: Mapping[Name, Mapping[str, int]] = {"": {dim: place[dim] for dim in array.dims if dim in place}}
         else:
             assert group is not None, f"the stage {node.stage.name} groups, but its arrangement has no groups"
             chosen = group.reads[name]

@@ -44,11 +44,11 @@ def publish_results(
 
 
 def _publish(
-    state: State, name: str, node: NodeState, store: Store, versions: Mapping[str, str], made: Set[str]
+    state: State, name: str, node: NodeState, store: Store, versions: Mapping[str, str], new_keys: Set[str]
 ) -> NodeResult:
     chosen = [r for r, selected in zip(node.records, node.selected, strict=True) if r is not None and selected]
-    # counted over all rounds of a run: what was made before a damaged chunk was met was made, too
-    computed = [record for record in chosen if record.key in made]
+    # counted over all rounds of a run: what was computed before a damaged chunk was met was computed, too
+    computed = [record for record in chosen if record.key in new_keys]
     chunks = node.chunks()
     files = {chunk_file(array, index): ref for array, placed in chunks.items() for index, ref in placed.items()}
     plan = node.plan

@@ -39,9 +39,9 @@ class Snapshot:
     @property
     def key(self) -> str:
         """What its answer is remembered under: every field of this class and of the request."""
-        asked = _fields(self.request)
-        asked["pipeline"] = self.pipeline  # what the file holds, wherever it lies
-        return digest_value({**_fields(self), "request": asked, "sources": self.sources.digest})
+        request = _fields(self.request)
+        request["pipeline"] = self.pipeline  # what the file holds, wherever it lies
+        return digest_value({**_fields(self), "request": request, "sources": self.sources.digest})
 
 
 def _fields(record: Any) -> dict[str, Any]:
@@ -91,14 +91,14 @@ def lasting(taken: Snapshot | None) -> TypeGuard[Snapshot]:
 
 def libraries() -> tuple[str, ...]:
     """All that is installed, with versions, from the names of folders; `importlib.metadata` would load too long."""
-    found = set()
+    distributions = set()
     for folder in sys.path:
         try:
             names = os.listdir(folder or ".")
         except OSError:
             continue
-        found |= {name for name in names if name.endswith((".dist-info", ".egg-info"))}
-    return tuple(sorted(found))
+        distributions |= {name for name in names if name.endswith((".dist-info", ".egg-info"))}
+    return tuple(sorted(distributions))
 
 
 def recall(store: Store, taken: Snapshot) -> dict[str, Any] | None:

@@ -48,15 +48,15 @@ def read_sources(root: Path = ROOT) -> Sources:
     digests, stamps = {}, []
     for path in _files(root, ()):
         with open(path, "rb") as file:
-            found = os.fstat(file.fileno())
+            status = os.fstat(file.fileno())
             digests[os.path.relpath(path, root)] = digest_bytes(file.read())
-        stamps.append((found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns))
+        stamps.append((status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns))
     return Sources(digests, tuple(stamps))
 
 
 def _files(folder: str | Path, around: Sequence[tuple[int, int]]) -> Iterator[str]:
-    here = os.stat(folder)
-    place = (here.st_dev, here.st_ino)
+    status = os.stat(folder)
+    place = (status.st_dev, status.st_ino)
     if place in around:
         return  # a link to a folder around it
     for entry in sorted(os.scandir(folder), key=lambda item: item.name):
@@ -82,13 +82,13 @@ def source(module: str) -> bytes:
     Raises:
         ModuleNotFoundError: it is no Python file.
     """
-    found = _executed.get(module)
-    if found is None:
+    text = _executed.get(module)
+    if text is None:
         path = module_file(module)
         if path is None:
             raise ModuleNotFoundError(f"the source of {module} cannot be found, so it cannot be in a key")
-        found = path.read_bytes()
-    return found
+        text = path.read_bytes()
+    return text
 
 
 def module_file(name: str) -> Path | None:
@@ -133,8 +133,8 @@ def _engine(_generation: int) -> str:
         for path in _files(ROOT / package, ()):
             name = os.path.relpath(path, ROOT)
             module = name.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
-            found = _executed.get(f"{PACKAGE}.{module}")
-            texts[name] = digest_bytes(Path(path).read_bytes() if found is None else found)
+            text = _executed.get(f"{PACKAGE}.{module}")
+            texts[name] = digest_bytes(Path(path).read_bytes() if text is None else text)
     return digest_value(texts)
 
 

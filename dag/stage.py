@@ -230,8 +230,8 @@ class Stage:
 def function(name: str) -> Callable[..., Any]:
     """The function of a name `package.module:function`."""
     module, _, attribute = name.partition(":")
-    found: Callable[..., Any] = getattr(import_module(module), attribute)
-    return found
+    callee: Callable[..., Any] = getattr(import_module(module), attribute)
+    return callee
 
 
 def evaluate(name: str, result: Result) -> Any:

@@ -40,9 +40,7 @@ NOTES = ("rig", "valid_from", "measured_from", "residuals")
 
 
 class _Item(BaseModel):
-    model_config = ConfigDict(
-        frozen=True, extra="forbid", strict=True, populate_by_name=True, allow_inf_nan=False, defer_build=True
-    )
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False, defer_build=True)
 
     rig: str | None = Field(None, description="the rig that this was measured on")
     valid_from: Date | None = Field(None, description="date from which it holds, ISO 8601")
@@ -114,7 +112,7 @@ class HomographyItem(_Item):
     """(x, y, 1) in one camera, mount undone, to (x', y', 1) in the other."""
 
     item: Literal["homography"]
-    from_: str = Field(alias="from", description="camera")
+    source: str = Field(alias="from", description="camera")
     to: str = Field(description="camera")
     matrix: Matrix
 
@@ -272,17 +270,17 @@ def read_item(path: Path, chunks: Chunks, *, kind: str | None = None) -> tuple[I
         RequestError: the file or a picture is missing or wrong, or the item is of another kind than asked for.
     """
     source = document.load(path, what=f"a calibration item ({kind or ', '.join(KINDS)})")
-    found = source.value.get("item") if isinstance(source.value, dict) else None
-    if found is None:
+    stated = source.value.get("item") if isinstance(source.value, dict) else None
+    if stated is None:
         raise RequestError(
             f"{source.at(())}: 'item' is missing; an item file begins with one of {', '.join(KINDS)}"
         )
-    if not isinstance(found, str) or found not in KINDS:
-        hint = document.nearest(str(found), KINDS)
-        raise RequestError(f"{source.at(('item',))}: the item '{found}' is not known{hint}")
-    if kind is not None and found != kind:
-        raise RequestError(f"{source.at(('item',))}: this is a {found} item, where {kind} was asked for")
-    model = document.check(source, KINDS[found])
+    if not isinstance(stated, str) or stated not in KINDS:
+        hint = document.nearest(str(stated), KINDS)
+        raise RequestError(f"{source.at(('item',))}: the item '{stated}' is not known{hint}")
+    if kind is not None and stated != kind:
+        raise RequestError(f"{source.at(('item',))}: this is a {stated} item, where {kind} was asked for")
+    model = document.check(source, KINDS[stated])
     values = model.model_dump(mode="json", by_alias=True)
     notes = {name: values.pop(name) for name in NOTES if values.get(name) is not None}
     values = _without_notes(values)
@@ -301,7 +299,7 @@ def read_item(path: Path, chunks: Chunks, *, kind: str | None = None) -> tuple[I
         pictures[camera] = StoredPicture(chunks.put(pixels), pixels.dtype.str, pixels.shape)
     if problems:
         raise RequestError("\n".join(problems))
-    item = Item(found, item_digest(values, pictures), values, notes, pictures)
+    item = Item(stated, item_digest(values, pictures), values, notes, pictures)
     return item, source.text.encode()
 
 
@@ -347,7 +345,7 @@ def items_in(folder: Path, chunks: Chunks) -> tuple[dict[str, tuple[Item, bytes]
     """
     if not folder.is_dir():
         raise RequestError(f"{folder} is missing: capture.yaml names it as the folder of calibration items")
-    found: dict[str, tuple[Item, bytes]] = {}
+    items: dict[str, tuple[Item, bytes]] = {}
     warnings: list[str] = []
     problems: list[str] = []
     for path in sorted([*folder.glob("*.yaml"), *folder.glob("*.yml")]):
@@ -365,9 +363,9 @@ def items_in(folder: Path, chunks: Chunks) -> tuple[dict[str, tuple[Item, bytes]
         except RequestError as error:
             problems.append(str(error))
             continue
-        if item.kind in found:
+        if item.kind in items:
             problems.append(f"{path} is a second {item.kind} item in this folder; keep one")
-        found[item.kind] = (item, original)
+        items[item.kind] = (item, original)
     if problems:
         raise RequestError("\n".join(problems))
-    return found, warnings
+    return items, warnings

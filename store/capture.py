@@ -42,7 +42,7 @@ Date = Annotated[str, AfterValidator(_iso_date)]
 
 
 class _Part(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, populate_by_name=True, defer_build=True)
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, defer_build=True)
 
 
 class Mount(_Part):
@@ -254,7 +254,7 @@ class Capture:
         """
         d = self.description
         groups = [tuple(range(3))] if d.colour == "rgb" else [(i,) for i in range(len(d.bands_nm))]
-        found: list[PictureFile] = []
+        promised: list[PictureFile] = []
         seen: dict[Path, str] = {}
         problems: list[str] = []
         for i, frame in enumerate(d.frames):
@@ -279,9 +279,9 @@ class Capture:
                     if path in seen:
                         problems.append(f"{path} would be both {seen[path]} and {label}")
                     seen[path] = label
-                    found.append(PictureFile(path, i, polarisation, bands))
+                    promised.append(PictureFile(path, i, polarisation, bands))
         raise_all(problems[:5])
-        return found
+        return promised
 
     def extra_pictures(self) -> list[Path]:
         """Pictures in the folder that the description does not mention."""
@@ -307,9 +307,10 @@ class Capture:
 
         d = self.description
         wanted = 3 if d.colour == "rgb" else 1
-        said = declared(io.BytesIO(data)).channels
-        picture = decode(data) if said == wanted else None
-        channels = said if picture is None else 1 if picture.ndim == 2 else picture.shape[2]
+        channels = declared(io.BytesIO(data)).channels
+        picture = decode(data) if channels == wanted else None
+        if picture is not None:
+            channels = 1 if picture.ndim == 2 else picture.shape[2]
         if picture is None or channels != wanted:
             raise PictureError(f"has {channels} channel(s); colour: {d.colour} means {wanted}")
         depth = picture.dtype.itemsize * 8

@@ -297,8 +297,8 @@ def check(document: Document, model: type[Model], *, where: Where = ()) -> Model
     for step in where:
         value = value[step]
     if not isinstance(value, dict):
-        found = "nothing" if value is None else short(repr(value))
-        raise RequestError(f"{document.at(where)}: expected keys with values, found {found}")
+        content = "nothing" if value is None else short(repr(value))
+        raise RequestError(f"{document.at(where)}: expected keys with values, found {content}")
     try:
         return model.model_validate(value)
     except ValidationError as error:
@@ -310,14 +310,16 @@ def problems(error: "ValidationError", model: "type[BaseModel]", value: Any) -> 
     """What pydantic found wrong with a value, and where in it; no more than a person would read."""
     # the errors of a union come in a location of branches that nobody has written
     listed: list[dict[str, Any]] = [dict(problem) for problem in error.errors(include_url=False)]
-    found = [(_written(problem, value), problem) for problem in listed]
-    deeper = {problem["loc"][: i + 1] for _, problem in found for i in range(len(problem["loc"]) - 1)}
+    placed = [(_written(problem, value), problem) for problem in listed]
+    deeper = {problem["loc"][: i + 1] for _, problem in placed for i in range(len(problem["loc"]) - 1)}
     # a list whose element is wrong is also "too short", which nobody needs to hear
-    found = [(at, p) for at, p in found if not (p["type"] == "too_short" and p["loc"] in deeper)]
-    told = [one for at, problem in found[:MOST_PROBLEMS] for one in _sentences(model, value, at, problem)]
-    if len(found) > MOST_PROBLEMS:
-        told.append(((), f"... and {len(found) - MOST_PROBLEMS} more problems"))
-    return told
+    placed = [(at, p) for at, p in placed if not (p["type"] == "too_short" and p["loc"] in deeper)]
+    sentences = [
+        sentence for at, problem in placed[:MOST_PROBLEMS] for sentence in _sentences(model, value, at, problem)
+    ]
+    if len(placed) > MOST_PROBLEMS:
+        sentences.append(((), f"... and {len(placed) - MOST_PROBLEMS} more problems"))
+    return sentences
 
 
 def _written(problem: Mapping[str, Any], value: Any) -> Where:
@@ -375,7 +377,7 @@ def _sentences(
 ) -> Iterator[tuple[Where, str]]:
     """One of pydantic's errors as a sentence; a model's own check may say several."""
     name = ".".join(short(step) for step in location)
-    kind, found = problem["type"], problem.get("input")
+    kind, content = problem["type"], problem.get("input")
     if kind == "extra_forbidden":
         last = str(location[-1])
         known = _fields(model, value, location[:-1])
@@ -396,11 +398,11 @@ def _sentences(
     message = _PLAIN_WORDS.get(kind, str(problem["msg"][0]).lower() + str(problem["msg"])[1:])
     message = message.removeprefix("input ")
     hint = ""
-    if kind == "literal_error" and isinstance(found, str):
+    if kind == "literal_error" and isinstance(content, str):
         options = re.findall(r"'([^']*)'", message)
-        hint = nearest(found, options) if len(options) > 1 else ""
+        hint = nearest(content, options) if len(options) > 1 else ""
         hint = hint if hint.startswith("; did") else ""
-    shown = f", found {short(repr(found))}" if not isinstance(found, dict | tuple) else ""
+    shown = f", found {short(repr(content))}" if not isinstance(content, dict | tuple) else ""
     yield location, f"{name + ': ' if name else ''}{message}{shown}{hint}"
 
 
@@ -421,14 +423,14 @@ def _fields(model: Any, value: Any, location: Where) -> Mapping[str, str]:
     kinds = [model]
     for step in location:
         kinds = [
-            inner for one in _fitting(kinds, value) for deeper in _within(one, step) for inner in _members(deeper)
+            inner for kind in _fitting(kinds, value) for deeper in _within(kind, step) for inner in _members(deeper)
         ]
         value = value[step] if _holds(value, step) else None
     return {
         info.alias or name: info.description or ""
-        for one in _fitting(kinds, value)
-        if _is_model(one)
-        for name, info in one.model_fields.items()
+        for kind in _fitting(kinds, value)
+        if _is_model(kind)
+        for name, info in kind.model_fields.items()
     }
 
 
@@ -437,7 +439,7 @@ def _members(annotation: Any) -> Sequence[Any]:
     if get_origin(annotation) is Annotated:
         return _members(get_args(annotation)[0])
     if get_origin(annotation) in (Union, UnionType):
-        return [inner for one in get_args(annotation) for inner in _members(one)]
+        return [inner for member in get_args(annotation) for inner in _members(member)]
     return [annotation]
 
 
@@ -455,8 +457,8 @@ def _fitting(kinds: Sequence[Any], value: Any) -> Sequence[Any]:
     """Of several models those whose telling words (`kind: dark`) are the value's, or all where none is."""
 
     def fits(kind: Any) -> bool:
-        told = kind.model_fields.items() if _is_model(kind) and isinstance(value, dict) else ()
-        words = {name: get_args(info.annotation) for name, info in told if get_origin(info.annotation) is Literal}
+        fields = kind.model_fields.items() if _is_model(kind) and isinstance(value, dict) else ()
+        words = {name: get_args(info.annotation) for name, info in fields if get_origin(info.annotation) is Literal}
         return all(value[name] in known for name, known in words.items() if name in value)
 
     return [kind for kind in kinds if fits(kind)] or kinds

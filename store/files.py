@@ -266,15 +266,15 @@ def _alive(pid: int) -> bool:
 def delete(path: Path, freed: Callable[[os.stat_result], None] | None = None) -> None:
     """Delete a file or a folder with all in it, as far as that is possible; `freed` is told of each file."""
     with contextlib.suppress(OSError):
-        found = path.stat(follow_symlinks=False)
-        if stat.S_ISDIR(found.st_mode):
+        status = path.stat(follow_symlinks=False)
+        if stat.S_ISDIR(status.st_mode):
             for entry in os.scandir(path):
                 delete(Path(entry.path), freed)
             path.rmdir()
         else:
             path.unlink()
             if freed is not None:
-                freed(found)
+                freed(status)
 
 
 @contextlib.contextmanager
@@ -482,6 +482,9 @@ def _rename_new(source: Path, target: Path) -> None:
         os.close(folder)
 
 
+_AT_FDCWD, _RENAME_NOREPLACE = -100, 1  # of <linux/fcntl.h> and <linux/fs.h>
+
+
 def _rename_no_replace(source: Path, target: Path) -> int:
     """The kernel's renameat2 with RENAME_NOREPLACE, which Python does not have; returns the error, 0 for none."""
     import ctypes
@@ -489,8 +492,7 @@ def _rename_no_replace(source: Path, target: Path) -> int:
     function = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
     if function is None:
         return errno.ENOSYS
-    here, no_replace = -100, 1
-    done = function(here, os.fsencode(source), here, os.fsencode(target), no_replace)
+    done = function(_AT_FDCWD, os.fsencode(source), _AT_FDCWD, os.fsencode(target), _RENAME_NOREPLACE)
     return 0 if done == 0 else ctypes.get_errno()
 
 

@@ -121,8 +121,8 @@ class _Collection:
         for node in _nodes(self._store):
             for group in _groups(node):
                 if group not in self._doomed:
-                    made = provenance(node.parent.name, node.name, group.name, self._store) or {}
-                    blobs |= {ref[1] for refs in made.get("chunks", {}).values() for ref in refs.values()}
+                    record = provenance(node.parent.name, node.name, group.name, self._store) or {}
+                    blobs |= {ref[1] for refs in record.get("chunks", {}).values() for ref in refs.values()}
         return blobs
 
     # what goes
@@ -189,9 +189,9 @@ class _Collection:
         referred = self._referred()
         lost = {}
         for entry in files_below(self._store.chunks.folder):
-            found = entry.stat(follow_symlinks=False)
-            if entry.name not in referred and found.st_mtime_ns <= self._limit:
-                lost[entry.name] = Path(entry.path), found.st_nlink
+            status = entry.stat(follow_symlinks=False)
+            if entry.name not in referred and status.st_mtime_ns <= self._limit:
+                lost[entry.name] = Path(entry.path), status.st_nlink
         # records first: a chunk without a record is garbage, a record without its chunk is computed again
         for kind in KINDS if lost else ():
             for path in self._store.records.files(kind):
@@ -236,12 +236,12 @@ class _Collection:
 
     # how much it is
 
-    def _count(self, found: os.stat_result) -> None:
+    def _count(self, status: os.stat_result) -> None:
         """A name of a file goes; its bytes do with the last."""
-        inode = found.st_dev, found.st_ino
-        if found.st_nlink - self._pretended[inode] <= 1:
-            self._freed.size += found.st_size
-        if self._dry_run and found.st_nlink > 1:
+        inode = status.st_dev, status.st_ino
+        if status.st_nlink - self._pretended[inode] <= 1:
+            self._freed.size += status.st_size
+        if self._dry_run and status.st_nlink > 1:
             self._pretended[inode] += 1
 
     def _pretend(self, path: Path) -> None:

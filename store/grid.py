@@ -99,7 +99,7 @@ def write_group(
     for name, coordinate in coordinates.items():
         values = np.asarray(coordinate.values)
         text = values.dtype.kind in "UO"
-        array_ = group.create_array(
+        labels = group.create_array(
             name,
             shape=values.shape,
             dtype="str" if text else values.dtype,
@@ -108,7 +108,7 @@ def write_group(
             attributes=dict(coordinate.attrs),
             **({} if text else {"fill_value": values.dtype.type(0)}),
         )
-        array_[...] = values.astype(object) if text else values
+        labels[...] = values.astype(object) if text else values
     with warnings.catch_warnings():
         # xarray warns without consolidated metadata, zarr with it: version 3 of the format leaves it open
         warnings.simplefilter("ignore")

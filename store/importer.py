@@ -116,27 +116,29 @@ def _import(
         "mask": mask_file,
         "items": came,
     }
-    found = Session(session_name, facts, shape, images, mask, came, source, (), "")
+    incoming = Session(session_name, facts, shape, images, mask, came, source, (), "")
     while True:
         try:
-            done = _become(found, before, standing, store, lost=lost)
+            done = _become(incoming, before, standing, store, lost=lost)
         except SessionChangedError:  # an item was bound, or somebody imports it, too: again, from what stands now
             before, standing = present_session(session_name, store)
         else:
             return changed(done, warnings=(*warnings, *done.warnings))
 
 
-def _become(found: Session, before: Session | None, standing: str | None, store: Store, *, lost: int) -> Imported:
-    """Let the session be what was found in its folder, with the items that are bound to it.
+def _become(
+    incoming: Session, before: Session | None, standing: str | None, store: Store, *, lost: int
+) -> Imported:
+    """Let the session be what lies in its folder, with the items that are bound to it.
 
     Args:
-        found: the session as its folder alone says.
+        incoming: the session as its folder alone says.
         before: the session as it stands, if there is one that can be read.
         standing: the digest of what stands.
         store: where.
         lost: how many of its pictures were damaged or gone, and are there again.
     """
-    session = changed(found, items=_bound_items(before, found.source["items"]))
+    session = changed(incoming, items=_bound_items(before, incoming.source["items"]))
     changes = _changes(before, session)
     if before is not None and not changes:
         if lost or before.source != session.source:
@@ -228,8 +230,8 @@ def _read_pictures(
 
     with ThreadPoolExecutor(max_workers=len(os.sched_getaffinity(0))) as pool:
         promised = list(pool.map(_declared, pictures))
-    found = [one for one in promised if isinstance(one, Declared)]
-    shapes = [one.shape for one in found]
+    readable = [promise for promise in promised if isinstance(promise, Declared)]
+    shapes = [promise.shape for promise in readable]
     usual = max(set(shapes), key=shapes.count, default=(0, 0))
 
     def read(picture: PictureFile, promise: Declared | str) -> _ReadPicture:
@@ -258,7 +260,7 @@ def _read_pictures(
             picture, digest, tuple(staging.put(np.ascontiguousarray(plane)[None, None, None]) for plane in planes)
         )
 
-    at_once = _MEMORY // max([3 * one.size for one in found], default=1)
+    at_once = _MEMORY // max([3 * promise.size for promise in readable], default=1)
     workers = max(1, min(at_once, len(os.sched_getaffinity(0))))
     with ThreadPoolExecutor(max_workers=workers) as pool:
         results = pool.map(read, pictures, promised)

@@ -42,7 +42,7 @@ def read_regular(path: Path, limit: int) -> bytes:
             raise FileError(f"has {before.st_size} bytes, more than the {limit} that it may have")
         data = file.read(before.st_size + 1)
         after = os.stat(path)
-    stamps = [(found.st_size, found.st_mtime_ns, found.st_ino) for found in (before, after)]
+    stamps = [(status.st_size, status.st_mtime_ns, status.st_ino) for status in (before, after)]
     if stamps[0] != stamps[1] or len(data) != before.st_size:
         raise FileError("changed while it was read; wait until it is complete")
     return data
@@ -67,9 +67,9 @@ def _without_waiting(path: str, flags: int) -> int:
     return os.open(path, flags | os.O_NONBLOCK | os.O_NOCTTY)
 
 
-def _refuse_other(found: os.stat_result) -> None:
+def _refuse_other(status: os.stat_result) -> None:
     for is_kind, kind in _KINDS:
-        if is_kind(found.st_mode):
+        if is_kind(status.st_mode):
             raise FileError(f"is {kind}, and no file")
 
 

@@ -51,12 +51,12 @@ class Marker:
             WorkError: it is not.
         """
         try:
-            found = read(root)
+            present = read(root)
         except OSError:
-            found = None
-        if found is None:
+            present = None
+        if present is None:
             raise gone(root)
-        if found != self:
+        if present != self:
             raise WorkError(f"the store {root} was upgraded or exchanged in the meantime; run again")
 
 
@@ -84,20 +84,20 @@ def read(root: Path) -> Marker | None:
         plain = json.loads(data)
         text = str(plain["format"])
         if text == _UPGRADING:
-            found = Marker(int(plain["from"]), str(plain["id"]), upgrading=True)
+            marker = Marker(int(plain["from"]), str(plain["id"]), upgrading=True)
         elif text.startswith(_KIND):
-            found = Marker(int(text.removeprefix(_KIND)), str(plain.get("id", "")))
+            marker = Marker(int(text.removeprefix(_KIND)), str(plain.get("id", "")))
         else:
             raise RequestError(f"{path} says {text[:60]!r}; this program reads {_KIND}{FORMAT}")
         # one of another format may be sealed otherwise
-        whole = intact(data) or found.format != FORMAT or found.upgrading
+        whole = intact(data) or marker.format != FORMAT or marker.upgrading
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         whole = False
     if not whole:
         raise DamagedMarkerError(
             f"{path} is damaged; `lightstage upgrade` looks through the store and writes it anew"
         )
-    return found
+    return marker
 
 
 class DamagedMarkerError(RequestError):

@@ -33,7 +33,7 @@ class Note:
     """Metadata and coordinates: file to digest."""
     links: Mapping[str, ChunkRef]
     """Chunk files: file to chunk."""
-    made: Mapping[str, Any]
+    content: Mapping[str, Any]
     """The whole note, with how the group was made."""
 
     @cached_property
@@ -52,20 +52,20 @@ def chunk_file(array: str, index: ChunkIndex) -> str:
     return f"{array}/{'.'.join(['c', *map(str, index)])}"
 
 
-def write_note(scratch: Scratch, group: Path, written: Path, chunks: Placed, made: Mapping[str, Any]) -> None:
+def write_note(scratch: Scratch, group: Path, written: Path, chunks: Placed, provenance: Mapping[str, Any]) -> None:
     """Note what a group's files are, before it appears.
 
     Args:
         group: where it will be.
         written: where it has been written.
         chunks: what was linked into it.
-        made: what else the note says.
+        provenance: what else the note says: how the group was made.
     """
     links = {chunk_file(array, index) for array, placed in chunks.items() for index in placed}
     below = (entry.path.removeprefix(f"{written}{os.sep}") for entry in files_below(written))
     own = [name for name in below if name not in links]
     plain = {
-        **made,
+        **provenance,
         "group": own_place(group),
         "chunks": {
             array: {".".join(map(str, index)): ref.as_plain() for index, ref in placed.items()}
@@ -85,16 +85,16 @@ def read_note(group: Path) -> Note:
     """
     path = note_path(group)
     remedy = "`lightstage verify` sets the group aside, and the next run makes it again"
-    made = unseal(path.read_bytes(), path, remedy)
+    plain = unseal(path.read_bytes(), path, remedy)
     try:
         links = {
             f"{array}/c.{index}": ChunkRef.from_plain(ref)
-            for array, refs in made["chunks"].items()
+            for array, refs in plain["chunks"].items()
             for index, ref in refs.items()
         }
-        if made["group"] != own_place(group):
+        if plain["group"] != own_place(group):
             raise DamagedFileError(path, remedy)
-        return Note(dict(made["files"]), links, made)
+        return Note(dict(plain["files"]), links, plain)
     except (KeyError, TypeError, ValueError, AttributeError, IndexError):
         raise DamagedFileError(path, remedy) from None
 

@@ -218,7 +218,7 @@ def _tiff_layout(file: BinaryIO) -> _Layout:
         other = f"has the unknown photometric interpretation {photometric}"
         raise PictureError(_PHOTOMETRICS.get(photometric, other))
     if formats != {1} or bits not in ({8}, {16}):
-        kinds = "/".join(_FORMATS.get(one, "unknown") for one in sorted(formats))
+        kinds = "/".join(_FORMATS.get(number, "unknown") for number in sorted(formats))
         held = f"{kinds}{'/'.join(map(str, sorted(bits)))}"
         raise PictureError(f"holds {held} values; 8- or 16-bit integers are expected")
     promised = _sane(Declared(tags.number(257), tags.number(256), tags.number(277, 1), bits.pop()))
@@ -337,10 +337,10 @@ class _Tags:
 
     def number(self, code: int, default: int | None = None) -> int:
         """The one whole number of a tag."""
-        found = self.numbers(code, None if default is None else (default,))
-        if len(found) != 1:
-            raise PictureError(f"is damaged: its tag {code} holds {len(found)} numbers, not one")
-        return found[0]
+        numbers = self.numbers(code, None if default is None else (default,))
+        if len(numbers) != 1:
+            raise PictureError(f"is damaged: its tag {code} holds {len(numbers)} numbers, not one")
+        return numbers[0]
 
 
 def _check_places(layout: _Layout, tags: _Tags) -> None:
@@ -407,29 +407,29 @@ def _inflated(values: Any, needed: int) -> bytes:
     inflater = zlib.decompressobj()
     try:
         # one byte more than needed: the stream must come to its end, where its checksum stands
-        found = inflater.decompress(values, needed + 1)
+        inflated = inflater.decompress(values, needed + 1)
     except zlib.error as error:
         raise PictureError(f"is damaged: its values cannot be inflated ({error})") from None
     if not inflater.eof:
         raise PictureError("is damaged: its deflated values have no end, or are more than it declares")
-    return found
+    return inflated
 
 
 def _unpacked(values: bytes, needed: int) -> bytes:
     """PackBits: n < 128: n + 1 values as they are; n > 128: one value 257 - n times; 128: nothing."""
-    found = bytearray()
+    unpacked = bytearray()
     at = 0
-    while at < len(values) and len(found) <= needed:
+    while at < len(values) and len(unpacked) <= needed:
         n = values[at]
         if n < 128:
-            found += values[at + 1 : at + 2 + n]
+            unpacked += values[at + 1 : at + 2 + n]
             at += 2 + n
         elif n > 128:
-            found += values[at + 1 : at + 2] * (257 - n)
+            unpacked += values[at + 1 : at + 2] * (257 - n)
             at += 2
         else:
             at += 1
-    return bytes(found)
+    return bytes(unpacked)
 
 
 def linear_from_srgb(picture: "Picture") -> "Picture":
@@ -441,6 +441,6 @@ def linear_from_srgb(picture: "Picture") -> "Picture":
     linear = np.where(codes <= 0.04045, codes / 12.92, ((codes + 0.055) / 1.055) ** 2.4)
     table = np.round(linear * 65535).astype(np.uint16)
     decoded = np.empty(picture.shape, np.uint16)
-    for row, found in zip(decoded, picture, strict=True):
-        row[...] = table[found]  # a row at a time: the indices take eight bytes a value
+    for target, row in zip(decoded, picture, strict=True):
+        target[...] = table[row]  # a row at a time: the indices take eight bytes a value
     return decoded

@@ -81,11 +81,11 @@ def _has(group: Path, file: str, size: int) -> bool:
         return False
 
 
-def lacks(path: Path, made: Mapping[str, Any]) -> list[str]:
+def lacks(path: Path, record: Mapping[str, Any]) -> list[str]:
     """Files that a result group should have and does not, after its provenance."""
-    wanted = ["zarr.json", *made.get("files", {})]
+    wanted = ["zarr.json", *record.get("files", {})]
     missing = [name for name in wanted if not (path / name).is_file()]
-    for array, refs in made.get("chunks", {}).items():
+    for array, refs in record.get("chunks", {}).items():
         missing += [
             f"{array}/c.{index}" for index, ref in refs.items() if not _has(path, f"{array}/c.{index}", ref[2])
         ]
@@ -132,6 +132,6 @@ def current_path(session: str, node: str, store: Store) -> Path:
 def provenance(session: str, node: str, folder: str, store: Store) -> dict[str, Any] | None:
     """How a result was made, if it is known."""
     try:
-        return dict(read_note(store.results / session / node / folder).made)
+        return dict(read_note(store.results / session / node / folder).content)
     except (OSError, DamagedFileError):
         return None

@@ -40,10 +40,10 @@ class Store:
         store._lay_out(None)
         return store
 
-    def _lay_out(self, found: Marker | None) -> None:
-        self.id = "" if found is None else found.id
+    def _lay_out(self, identity: Marker | None) -> None:
+        self.id = "" if identity is None else identity.id
         """Of this store, wherever it is mounted; empty where there is none yet."""
-        self.scratch = Scratch(self.root / "tmp", found)
+        self.scratch = Scratch(self.root / "tmp", identity)
         self.chunks = Chunks(self.root / "cache" / "blobs", self.scratch)
         self.records = Records(self.root / "cache", self.scratch)
         self.sessions = self.root / "sessions"
@@ -75,23 +75,23 @@ def store_folder(name: str | Path) -> Path:
 
 def _opened(root: Path, *, create: bool) -> Marker | None:
     try:
-        found = marker.read(root)
-        if found is None:
+        present = marker.read(root)
+        if present is None:
             if root.exists() and not root.is_dir():
                 raise RequestError(f"--store {root} is a file; a folder is needed")
             if root.is_dir() and any(entry.name != "tmp" for entry in root.iterdir()):
                 raise RequestError(f"--store {root} holds other files and no store; name an empty or a new folder")
-            return _made(root) if create else None
+            return _create(root) if create else None
     except OSError as error:
         why = disk_fault(error, root) or error.strerror or str(error)
         raise RequestError(f"--store {str(root)[:200]} cannot be opened: {why}") from None
-    refusal = marker.other_format(found, root)
+    refusal = marker.other_format(present, root)
     if refusal is not None:
         raise refusal
-    return found
+    return present
 
 
-def _made(root: Path) -> Marker:
+def _create(root: Path) -> Marker:
     """Make a store. Of two that do so at once, both get the one that was first."""
     try:
         (root / "tmp").mkdir(parents=True, exist_ok=True)
@@ -100,7 +100,7 @@ def _made(root: Path) -> Marker:
         scratch.leave()
     except OSError as error:
         raise RequestError(f"--store {root}: no folder can be made there ({error.strerror})") from None
-    made = marker.read(root)
-    if made is None:
+    present = marker.read(root)
+    if present is None:
         raise marker.gone(root)
-    return made
+    return present

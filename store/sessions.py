@@ -309,7 +309,7 @@ def _version(shown: Path) -> str | None:
     if shown.is_symlink():
         return None
     try:
-        return str(read_note(shown).made.get("version"))
+        return str(read_note(shown).content.get("version"))
     except (OSError, DamagedFileError):
         return None
 
@@ -362,7 +362,7 @@ def write_raw(session: Session, store: Store) -> None:
             source=store.chunks,
         )
         store.scratch.flush()
-        write_note(store.scratch, target, temporary, chunks, _made(session, target))
+        write_note(store.scratch, target, temporary, chunks, _provenance(session, target))
         try:
             os.rename(temporary, target)
         except OSError:
@@ -371,7 +371,7 @@ def write_raw(session: Session, store: Store) -> None:
             shutil.rmtree(temporary)
 
 
-def _made(session: Session, group: Path) -> dict[str, Any]:
+def _provenance(session: Session, group: Path) -> dict[str, Any]:
     """What a note of the session's group says beside its files: of which session it is, and which version."""
     version = {} if group.name.startswith(".") else {"version": _version(group)}
     return {"session": session.name, **version}

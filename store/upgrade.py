@@ -56,24 +56,24 @@ def upgrade(root: str | Path, *, progress: Progress | None = None) -> Upgraded:
     """
     store = Store.of_any_format(root)
     with disk_faults_named(store.root), _alone(store):
-        found = _found(store.root)
-        refusal = marker.other_format(found, store.root)
-        if found.format > FORMAT and refusal is not None:
+        old = _present_marker(store.root)
+        refusal = marker.other_format(old, store.root)
+        if old.format > FORMAT and refusal is not None:
             raise refusal
-        done = Upgraded(found.format)
+        done = Upgraded(old.format)
         if refusal is not None:
             _refuse_company(store)
             try:
-                _carry(store, found, done, progress or _silently)
+                _carry(store, old, done, progress or _silently)
             finally:
                 store.scratch.leave()
         return done
 
 
-def _carry(store: Store, found: Marker, done: Upgraded, progress: Progress) -> None:
+def _carry(store: Store, old: Marker, done: Upgraded, progress: Progress) -> None:
     path = store.root / marker.NAME
-    present = Marker(found.format, found.id or secrets.token_hex(16), upgrading=True)
-    for step in range(found.format, FORMAT):
+    present = Marker(old.format, old.id or secrets.token_hex(16), upgrading=True)
+    for step in range(old.format, FORMAT):
         present = changed(present, format=step)
         replace(store.scratch, path, present.as_bytes())
         STEPS[step](store, done, progress)
@@ -85,14 +85,14 @@ def _silently(things: Iterable[Any], count: int, label: str) -> Iterable[Any]:
     return things
 
 
-def _found(root: Path) -> Marker:
+def _present_marker(root: Path) -> Marker:
     try:
-        found = marker.read(root)
+        present = marker.read(root)
     except DamagedMarkerError:
         return Marker(1, "", upgrading=True)  # whatever it was: each step leaves alone what it has done
-    if found is None:
+    if present is None:
         raise RequestError(f"--store {root}: there is no store to upgrade")
-    return found
+    return present
 
 
 @contextlib.contextmanager
@@ -143,17 +143,17 @@ def _seal_all(store: Store, done: Upgraded, progress: Progress) -> None:
                 done.left.append(f"{path} is damaged; `lightstage verify` says what can be done")
     names = sorted(path.parent.name for path in store.sessions.glob("*/session.json"))
     for name in progress(names, len(names), "pictures"):
-        with _said(done):
+        with _faults_noted(done):
             show_raw(name, store)
     for kind, digits in item_names(store):
-        with _said(done):
+        with _faults_noted(done):
             get_item(kind, digits, store)
     for kind in ("nodes", "runs"):
         delete(store.records.folder / kind)
 
 
 @contextlib.contextmanager
-def _said(done: Upgraded) -> Iterator[None]:
+def _faults_noted(done: Upgraded) -> Iterator[None]:
     try:
         yield
     except LightstageError as error:
@@ -186,8 +186,8 @@ def _flat_note(store: Store, data: bytes, path: Path) -> bytes:
 
 def _flat_name(name: str) -> str:
     """`band/c/0/1` is `band/c.0.1`."""
-    array, found, index = name.partition("/c/")
-    return f"{array}/c.{index.replace('/', '.')}" if found else name
+    array, separator, index = name.partition("/c/")
+    return f"{array}/c.{index.replace('/', '.')}" if separator else name
 
 
 def _refuse_damaged(group: Path, name: str, digest: str) -> None:

@@ -79,9 +79,9 @@ def verify(store: Store, *, progress: Progress | None = None) -> Verified:
 
 
 def _verify(store: Store, report: Verified, progress: Progress | None) -> None:
-    found = _read_chunks(store, report, progress)
-    bad = {path.name for path, digest in found.values() if digest != path.name}
-    by_inode = {inode: digest for inode, (_, digest) in found.items()}
+    chunks = _read_chunks(store, report, progress)
+    bad = {path.name for path, digest in chunks.values() if digest != path.name}
+    by_inode = {inode: digest for inode, (_, digest) in chunks.items()}
     _check_records(store, report)
     sessions, items = _check_sessions(store, report), _check_items(store, report)
     _check_bindings(store, sessions, items, report)
@@ -105,7 +105,7 @@ def _read_chunks(
     store: Store, report: Verified, progress: Progress | None
 ) -> dict[tuple[int, int], tuple[Path, str]]:
     """Every stored chunk by its inode: where it lies, and the digest that its bytes have."""
-    found: dict[tuple[int, int], tuple[Path, str]] = {}
+    chunks: dict[tuple[int, int], tuple[Path, str]] = {}
     blobs = [Path(entry.path) for entry in files_below(store.chunks.folder) if _BLOB.fullmatch(entry.name)]
     for path in progress(blobs, len(blobs), "chunks") if progress else blobs:
         with contextlib.suppress(FileNotFoundError):  # gc may be at work beside us
@@ -113,8 +113,8 @@ def _read_chunks(
             data = path.read_bytes()
             report.chunks += 1
             report.size += len(data)
-            found[stat.st_dev, stat.st_ino] = path, digest_bytes(data)
-    return found
+            chunks[stat.st_dev, stat.st_ino] = path, digest_bytes(data)
+    return chunks
 
 
 def _check_records(store: Store, report: Verified) -> None:
