@@ -65,42 +65,6 @@ def test_bit_shuffle_only_where_it_compresses() -> None:
     assert shuffle_for((1, 309, 406)) == "shuffle"
 
 
-def test_a_chunk_that_was_not_computed_reads_as_not_valid(store: Store) -> None:
-    template = ArrayTemplate(("frame", "y", "x"), (2, 4, 4), (1, 4, 4), "float32")
-    folder = store.root / "group"
-    ref = store.chunks.put(np.ones((1, 4, 4), np.float32))
-    write_group(
-        folder,
-        arrays={"a": template},
-        coordinates={},
-        attrs={},
-        chunks={"a": {(0, 0, 0): ref}},
-        source=store.chunks,
-    )
-    values = xarray.open_zarr(folder, chunks=None).a.values
-    assert values[0].min() == 1
-    assert np.isnan(values[1]).all()
-
-
-def test_scaled_integers_decode_to_floats_with_nan(store: Store) -> None:
-    stored = np.array([[[32767, -32768]]], np.int16)
-    attrs = {"scale_factor": 1 / 32767, "_FillValue": -32768}
-    template = ArrayTemplate(("frame", "y", "x"), (1, 1, 2), (1, 1, 2), "int16", attrs)
-    folder = store.root / "group"
-    ref = store.chunks.put(stored)
-    write_group(
-        folder,
-        arrays={"n": template},
-        coordinates={},
-        attrs={},
-        chunks={"n": {(0, 0, 0): ref}},
-        source=store.chunks,
-    )
-    values = xarray.open_zarr(folder, chunks=None).n.values
-    assert values[0, 0, 0] == pytest.approx(1)
-    assert np.isnan(values[0, 0, 1])
-
-
 def test_every_flipped_byte_is_noticed_on_reading(store: Store) -> None:
     array = np.random.default_rng(0).integers(0, 1000, (4, 6)).astype(np.uint16)
     ref = store.chunks.put(array)
