@@ -1,6 +1,5 @@
 """A request is remembered under what decided its answer, and looked for by all that could."""
 
-import argparse
 import dataclasses
 import json
 import sys
@@ -10,13 +9,13 @@ from typing import Any
 
 import pytest
 
-from lightstage.cli.run import add_run_options, request_of
 from lightstage.dag import answer as dag_answer
 from lightstage.dag import recall
 from lightstage.dag.recall import libraries, snapshot
 from lightstage.dag.request import Request
 from lightstage.store.root import Store
 from tests.conftest import REPOSITORY, Answer
+from tests.dag.test_request import OTHER
 
 Lightstage = Callable[..., Answer]
 
@@ -116,28 +115,6 @@ def test_what_was_remembered_is_found_and_notes_of_items_count(
     said = json.loads(item.read_text())
     item.write_text(json.dumps({**said, "notes": {"rig": "leeds"}}))
     assert key() != before
-
-
-OTHER: dict[str, tuple[tuple[str, ...], Any]] = {
-    "overrides": (("--set", "normals.method=ratio"), ("normals.method=ratio",)),
-    "frames": (("--frames", "0:3"), (0, 3)),
-    "pipeline": (("--pipeline", "other.yaml"), Path("other.yaml")),
-    "items": (("--calibration", "homography=h.yaml"), (("homography", Path("h.yaml")),)),
-}
-"""Per field of a request, an option of a run that gives it another value, and that value."""
-
-
-def test_every_option_of_a_run_is_in_the_request_but_where_it_is_computed() -> None:
-    parser = argparse.ArgumentParser()
-    add_run_options(parser)
-    plain = parser.parse_args([])
-    usual = request_of(plain, "ball")
-    reached = {"workers", "scheduler"}
-    for field, (words, value) in OTHER.items():
-        given = parser.parse_args(words)
-        reached |= {name for name in vars(plain) if vars(given)[name] != vars(plain)[name]}
-        assert request_of(given, "ball") == dataclasses.replace(usual, **{field: value})
-    assert reached == set(vars(plain))
 
 
 def test_every_field_of_a_request_is_in_its_key(
