@@ -46,6 +46,15 @@ def test_a_node_is_missing_partial_fresh_and_stale(tiny: Tiny) -> None:
     assert conditions(tiny) == {"scaled": "stale", "summed": "stale"}
 
 
+def test_what_is_all_known_and_not_in_use_is_stale(tiny: Tiny) -> None:
+    tiny.run()
+    tiny.run(overrides=("scaled.gain=2.0",))
+    assert conditions(tiny, "scaled.gain=2.0") == {"scaled": "fresh", "summed": "fresh"}
+    assert conditions(tiny) == {"scaled": "stale", "summed": "stale"}
+    tiny.run()
+    assert conditions(tiny) == {"scaled": "fresh", "summed": "fresh"}
+
+
 def test_what_is_known_is_counted(tiny: Tiny) -> None:
     tiny.run()
     change_picture(tiny, "Y")

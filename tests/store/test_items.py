@@ -65,17 +65,22 @@ def test_a_name_follows_from_numbers_and_pixels(store: Store) -> None:
     assert item_digest({"b": 2, "a": 1}, {}) == item_digest({"a": 1, "b": 2}, {})
 
 
-@pytest.mark.parametrize("damage", ["flipped", "other numbers, sealed", "of another kind", "without pictures"])
+@pytest.mark.parametrize(
+    "damage", ["flipped", "other numbers, sealed", "of another kind", "another item", "without pictures"]
+)
 def test_an_item_that_is_not_what_its_name_says_is_refused(store: Store, damage: str) -> None:
     item = dark(store)
     put_item(item, b"", store)
     path = store.calibration / item.name / "item.json"
+    other = dark(store, scale=2.0)
+    put_item(other, b"", store)
     plain = unseal(path.read_bytes(), path)
     path.write_bytes(
         {
             "flipped": path.read_bytes().replace(b'"scale": 1.0', b'"scale": 2.0'),
             "other numbers, sealed": seal({**plain, "values": {"item": "dark", "scale": 2.0}}),
             "of another kind": seal({**plain, "kind": "flat"}),
+            "another item": (store.calibration / other.name / "item.json").read_bytes(),
             "without pictures": seal({k: v for k, v in plain.items() if k != "pictures"}),
         }[damage]
     )
