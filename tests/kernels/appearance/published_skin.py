@@ -54,7 +54,7 @@ def blood_depth(saturation: float, *, unit: float = 0.75) -> Array:
 
 @cache
 def _ways(photons: int = 60_000, longest: float = 700.0) -> tuple[Array, int]:
-    """Lengths of the ways of photons that left a half space that only scatters, in mean free ways, and how many began.
+    """Lengths, in mean free ways, of the ways of photons that left a half space that only scatters; how many began.
 
     Light enters evenly from all sides; scattering is isotropic (with the reduced coefficient that is enough);
     at the surface Fresnel's reflectance throws back what comes from within.
