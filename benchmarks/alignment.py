@@ -26,12 +26,13 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from benchmarks import band_alignment
-from benchmarks.accuracy import DOCS, angle
+from benchmarks.accuracy import DOCS
 from benchmarks.near_light import changed
 from benchmarks.pages import put
 from lightstage.kernels.motion import picture_flow
 from lightstage.kernels.motion.picture_flow import Method, alternating, direct, plain, rounds
 from tests.moving_scenes import SIZES, Kind, Scene, scene
+from tests.rendered import angle
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks import band_scenes
-from benchmarks.accuracy import angle
 from benchmarks.band_scenes import BANDS, NAMES, REFERENCE, BandScene
 from lightstage.kernels.motion.band_alignment import KINDS, Kind, Light, band_flow, gathered
 from lightstage.kernels.motion.flow_warp import warp
 from lightstage.kernels.motion.picture_flow import direct, plain
+from tests.rendered import angle
 
 Array = NDArray[Any]
 SEEDS = (2, 3)

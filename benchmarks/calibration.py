@@ -13,10 +13,11 @@ import numpy as np
 import xarray
 from numpy.typing import NDArray
 
-from benchmarks.accuracy import DATA, Bench, angle
+from benchmarks.accuracy import DATA, Bench
 from lightstage.kernels.targets.board_corners import find_corners
 from lightstage.kernels.targets.camera_matrix import fit_camera
 from lightstage.store.document import load
+from tests.rendered import angle
 
 Array = NDArray[Any]
 

@@ -19,13 +19,14 @@ import xarray
 import yaml
 from numpy.typing import NDArray
 
-from benchmarks.accuracy import DOCS, angle
+from benchmarks.accuracy import DOCS
 from benchmarks.pages import put
 from benchmarks.pipeline import ROOT, command, timed
 from lightstage.kernels.motion.flow_warp import warp
 from lightstage.kernels.normals import quantised, spherical_gradients
 from lightstage.kernels.normals.gradient_methods import table
 from lightstage.kernels.pictures.picture_sets import choose
+from tests.rendered import angle
 
 Array = NDArray[Any]
 DATA = ROOT.parent / "shared" / "data" / "rendered"

@@ -22,7 +22,7 @@ import scipy.sparse
 import xarray
 from numpy.typing import NDArray
 
-from benchmarks.accuracy import DATA, DOCS, Bench, angle, truth_of
+from benchmarks.accuracy import DATA, DOCS, Bench
 from benchmarks.pages import put
 from lightstage.kernels.normals import near_light, self_consistent
 from lightstage.kernels.normals.near_light import Lights, LightVectors
@@ -31,6 +31,7 @@ from lightstage.kernels.surface import integration, interreflection, loose_parts
 from lightstage.kernels.surface.integration import integrate
 from lightstage.kernels.surface.pinhole import Pinhole
 from lightstage.store.document import load
+from tests.rendered import angle, truth_of
 
 Array = NDArray[Any]
 

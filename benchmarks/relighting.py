@@ -17,12 +17,13 @@ import OpenImageIO
 import xarray
 from numpy.typing import NDArray
 
-from benchmarks.accuracy import DATA, DOCS, Bench, truth_of
+from benchmarks.accuracy import DATA, DOCS, Bench
 from benchmarks.near_light import Subject
 from benchmarks.pages import put
 from lightstage.hw.virtual_rig import Shot, radiance
 from lightstage.kernels.appearance.colour import encode_srgb, linear_srgb_matrix
 from lightstage.kernels.appearance.relighting import Fidelity, Lamps, Surface, compare, relight
+from tests.rendered import truth_of
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt

@@ -147,17 +147,17 @@ def flicker(cycle: Sequence[str | Exposure], timing: Timing, *, lights: Array | 
     segments = _segments(cycle, timing)
     rate = timing.frame_rate_hz
     limit = min(HIGHEST_HZ, rate if timing.dark_pauses else rate / 2)
-    found = [_band(view, _seen(segments, view, places), segments, limit) for view in VIEWS]
-    return tuple(sorted(found, key=lambda one: -one.swing))
+    views = [_band(view, _seen(segments, view, places), segments, limit) for view in VIEWS]
+    return tuple(sorted(views, key=lambda seen: -seen.swing))
 
 
 def _segments(cycle: Sequence[str | Exposure], timing: Timing) -> list[Segment]:
     """What is shown for how long, once round."""
     out: list[Segment] = []
     pause = timing.period_s - timing.exposure_ms / 1000
-    for here, after in zip(cycle, [*cycle[1:], cycle[0]], strict=True):
-        name = here.illumination if isinstance(here, Exposure) else here
-        wheel = timing.wheel_ms / 1000 if _turns(here, after) else 0.0
+    for current, following in zip(cycle, [*cycle[1:], cycle[0]], strict=True):
+        name = current.illumination if isinstance(current, Exposure) else current
+        wheel = timing.wheel_ms / 1000 if _turns(current, following) else 0.0
         if timing.dark_pauses:
             out += [(name, timing.exposure_ms / 1000), ("O", pause + wheel)]
         else:
@@ -172,8 +172,8 @@ def _turns(before: str | Exposure, after: str | Exposure) -> bool:
 def _seen(segments: Sequence[Segment], view: str, lights: Array) -> Array:
     """Brightness (segment,), 1 for the brightest."""
     gain = np.ones(len(lights)) if view == "total" else np.maximum(0, lights @ np.array(_FACING[view], float))
-    of = {name: float(weights(name, lights) @ gain) for name in {name for name, _ in segments}}
-    values = np.array([of[name] for name, _ in segments])
+    brightness = {name: float(weights(name, lights) @ gain) for name in {name for name, _ in segments}}
+    values = np.array([brightness[name] for name, _ in segments])
     return np.asarray(values / max(values.max(), 1e-30))
 
 

@@ -188,10 +188,12 @@ def supported(sequence: Sequence[str]) -> tuple[TrackingFrame, ...]:
     _check_names(sequence)
     places = [i for i, name in enumerate(sequence) if name == "C"]
     records = []
-    for left, here, right in zip([-1, *places], places, [*places[1:], len(sequence)], strict=False):
-        before, after = tuple(sequence[left + 1 : here]), tuple(sequence[here + 1 : right])
+    for left, place, right in zip([-1, *places], places, [*places[1:], len(sequence)], strict=False):
+        before, after = tuple(sequence[left + 1 : place]), tuple(sequence[place + 1 : right])
         window = {*before, "C", *after}
-        lacks = {name: tuple(one for one in images if one not in window) for name, images in SETS.items()}
+        lacks = {
+            name: tuple(picture for picture in images if picture not in window) for name, images in SETS.items()
+        }
         flanked = tuple(
             axis
             for axis in AXES
@@ -199,7 +201,7 @@ def supported(sequence: Sequence[str]) -> tuple[TrackingFrame, ...]:
         )
         records.append(
             TrackingFrame(
-                frame=here,
+                frame=place,
                 before=before,
                 after=after,
                 sets=tuple(name for name, images in lacks.items() if not images),

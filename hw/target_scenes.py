@@ -197,11 +197,11 @@ def polarised(hit: Highlights, lights: Array, camera_mm: float, index: complex, 
     up = np.where(np.abs(into[:, 1:2]) > 0.99, [0.0, 0.0, 1.0], [0.0, 1.0, 0.0])
     first = _unit(up - np.sum(up * into, axis=1, keepdims=True) * into)
     r_s, r_p = fresnel(index, np.radians(hit.incidence_deg))
-    made = []
+    amplitudes = []
     for direction in (first, np.cross(into, first)):
         share_s, share_p = np.sum(direction * s, axis=1), np.sum(direction * p_in, axis=1)
-        made.append(s[:, 0] * r_s * share_s + p_out[:, 0] * r_p * share_p)
-    v = np.stack(made, axis=-1)
+        amplitudes.append(s[:, 0] * r_s * share_s + p_out[:, 0] * r_p * share_p)
+    v = np.stack(amplitudes, axis=-1)
     values, vectors = np.linalg.eigh(np.real(v[:, :, None] * np.conj(v[:, None, :])))
     least, most = np.maximum(values[:, 0], 0), values[:, 1]
     a, top = least + extinction * most, most + extinction * least

@@ -200,7 +200,7 @@ def _perform(shot: Shot, folder: Path) -> None:
     fastest = []
     exposure = 0.0
     for i, name in enumerate(shot.sequence):
-        drive = np.stack([weights(one, rig.ideal) for one in ((name,) if i else (name, "C"))])
+        drive = np.stack([weights(illumination, rig.ideal) for illumination in ((name,) if i else (name, "C"))])
         view = _render(shape, head.bent_field(shape, at_rest, poses[i].warp), poses[i], rig, shot, grid, drive)
         albedo = view.albedo(band)
         if i == 0:  # the exposure is set before the performance, under C

@@ -220,8 +220,8 @@ def _sets(names: Sequence[str], performance: bool, engine: str) -> list[Window]:
         whole = f"{' '.join(names[:24])} ({len(names)} pictures)"
         if "C" not in names:
             raise StageError(f"a performance needs tracking frames under constant light (C); this one has {whole}")
-        found = chosen_sets(windows(names), method="auto", base="auto", correct="none", whole=whole)
-        sets = [window for window, _ in found]
+        complete = chosen_sets(windows(names), method="auto", base="auto", correct="none", whole=whole)
+        sets = [window for window, _ in complete]
     for window in sets:
         if engine in ("joint", "alternating") and not pairs(list(window.at)):
             have = " ".join(sorted(window.at, key=window.at.__getitem__))

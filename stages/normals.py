@@ -211,12 +211,12 @@ def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: NormalsPar
             diffuse: dict[Name, dict[str, int]] = {
                 bands[i]: {**place["C"], "band": i, "component": components.index("diffuse")} for i in b if extra
             }
-            told = {
+            block = {
                 "choice": [choice.method, choice.base, list(choice.pictures)],
                 "shape": [height, width],
                 "correct": correct,
             }
-            groups.append(Group({"radiance": pictures, "constant": diffuse}, told))
+            groups.append(Group({"radiance": pictures, "constant": diffuse}, block))
     sizes = {"tracking": len(sets), "band": 1 if fused else len(bands), "xyz": 3, "y": height, "x": width}
     labels: dict[str, tuple[tuple[str, ...], Sequence[Any]]] = {
         "tracking": (("tracking",), [frame for frame, _, _ in sets]),

@@ -47,19 +47,19 @@ def _context(
 def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: ShapeParams) -> Arrangement:
     (relief,) = grids
     height, width = relief.sizes["y"], relief.sizes["x"]
-    found = "depth_mm" in relief.arrays
+    has_depth = "depth_mm" in relief.arrays
     groups = []
     for t, frame in enumerate(relief.along("tracking")):
         bands = {band: {"tracking": t, "band": b} for b, band in enumerate(relief.along("band"))}
         groups.append(
             Group(
                 {"depth_mm": {frame: {"tracking": t}}, "normal": bands, "albedo": bands},
-                {"shape": [height, width], "integrated": not found},
+                {"shape": [height, width], "integrated": not has_depth},
             )
         )
     labels = {name: relief.labels[name] for name in ("tracking", "time_s") if name in relief.labels}
     attrs = {
-        "from": "depth found with the normals" if found else "integrated normals; distance: the stage's centre"
+        "from": "depth found with the normals" if has_depth else "integrated normals; distance: the stage's centre"
     }
     return Arrangement(Grid({"tracking": len(groups), "y": height, "x": width}, labels, attrs), tuple(groups))
 

@@ -43,11 +43,11 @@ def _context(
 def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: SplitParams) -> Arrangement:
     (registered,) = grids
     polarisations = facts["polarisation"]
-    made = components(polarisations)
+    names = components(polarisations)
     sizes = {"component" if k == "polarisation" else k: v for k, v in registered.sizes.items()}
-    sizes["component"] = len(made)
+    sizes["component"] = len(names)
     labels = {k: v for k, v in registered.labels.items() if k != "polarisation"}
-    labels["component"] = (("component",), list(made))
+    labels["component"] = (("component",), list(names))
     attrs = {"units": "counts"}
     if len(polarisations) == 1:
         attrs["cannot_be_made"] = _CANNOT[polarisations[0]]

@@ -12,10 +12,10 @@ import pytest
 import trimesh
 import xarray
 
-from benchmarks.accuracy import angle, difference_without_noise, displacement, truth_of
 from lightstage.kernels.surface.pinhole import Pinhole
 from lightstage.store.document import load
 from tests.conftest import Answer, run_process
+from tests.rendered import angle, difference_without_noise, displacement, truth_of
 
 pytestmark = [pytest.mark.data, pytest.mark.slow]
 Run = Callable[..., Path]

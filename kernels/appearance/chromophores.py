@@ -137,7 +137,7 @@ def _beer_lambert(depth: Array, weight: Array, spectra: Array) -> tuple[Array, A
     """
     count = spectra.shape[1]
     best = np.full(len(depth), np.inf)
-    found = np.zeros((len(depth), count))
+    amounts = np.zeros((len(depth), count))
     for size in range(count):
         for kept in combinations(range(count - 1), size):
             columns = [*kept, count - 1]
@@ -146,9 +146,9 @@ def _beer_lambert(depth: Array, weight: Array, spectra: Array) -> tuple[Array, A
             cost = (weight * (depth - solved @ part.T) ** 2).sum(axis=1)
             better = (solved[:, :-1] >= 0).all(axis=1) & (cost < best)
             best[better] = cost[better]
-            found[better] = 0
-            found[np.ix_(better, columns)] = solved[better]
-    return found, spectra
+            amounts[better] = 0
+            amounts[np.ix_(better, columns)] = solved[better]
+    return amounts, spectra
 
 
 def _kubelka_munk(depth: Array, weight: Array, melanin: Array, logs: Array) -> tuple[Array, Array, Array]:
@@ -179,14 +179,14 @@ def _kubelka_munk(depth: Array, weight: Array, melanin: Array, logs: Array) -> t
     volumes = skin_layers.VOLUMES
     step = volumes[lower + 1] - volumes[lower]
     rest = depth - below
-    found = np.empty((len(depth), 3))
-    found[:, 0] = np.maximum((centred * rest).sum(axis=1) / spread, 0)
-    found[:, 1] = volumes[lower] + part[:, 0] * step
-    found[:, 2] = (share * rest).sum(axis=1) - found[:, 0] * middle
+    amounts = np.empty((len(depth), 3))
+    amounts[:, 0] = np.maximum((centred * rest).sum(axis=1) / spread, 0)
+    amounts[:, 1] = volumes[lower] + part[:, 0] * step
+    amounts[:, 2] = (share * rest).sum(axis=1) - amounts[:, 0] * middle
     design = np.ones((*depth.shape, 3))
     design[..., 0] = melanin
     design[..., 1] = (logs[lower + 1] - logs[lower]) / step[:, None]
-    return found, design, found[:, :1] * melanin + below + found[:, 2:]
+    return amounts, design, amounts[:, :1] * melanin + below + amounts[:, 2:]
 
 
 def _normal(design: Array, weight: Array) -> Array:
@@ -227,25 +227,25 @@ def _oxygenation(depth: Array, weight: Array, passing: Array) -> tuple[Array, Ar
     return np.asarray(share), np.asarray(error)
 
 
-def _stats(made: Mapping[str, Image], spectra: Array, oxygen: bool) -> dict[str, float]:
-    known = np.isfinite(made["residual"])
+def _stats(maps: Mapping[str, Image], spectra: Array, oxygen: bool) -> dict[str, float]:
+    known = np.isfinite(maps["residual"])
     stats = {
         "condition_number": float(np.linalg.cond(spectra / np.linalg.norm(spectra, axis=0))),
-        "median_residual": float(np.median(made["residual"][known])) if known.any() else float("nan"),
+        "median_residual": float(np.median(maps["residual"][known])) if known.any() else float("nan"),
     }
     if oxygen and known.any():
-        told = np.isfinite(made["oxygenation"][known])
-        stats["oxygenation_known_fraction"] = float(told.mean())
+        resolved = np.isfinite(maps["oxygenation"][known])
+        stats["oxygenation_known_fraction"] = float(resolved.mean())
     return stats
 
 
 def _doubts(spectra: Array, passing: Array, saturation: float, vessel_radius_um: float) -> list[str]:
     if not spectra.size:
         return ["no pixel is valid in all bands, so whether the subject is skin was not looked at"]
-    found = skin_layers.likeness(
+    likeness = skin_layers.likeness(
         np.median(spectra, axis=1).astype(np.float64),
         passing,
         saturation=saturation,
         vessel_radius_um=vessel_radius_um,
     )
-    return [] if found.doubt is None else [found.doubt]
+    return [] if likeness.doubt is None else [likeness.doubt]

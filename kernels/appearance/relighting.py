@@ -159,10 +159,10 @@ def compare(picture: NDArray[np.floating], truth: NDArray[np.floating], mask: ND
         picture, truth: (y, x) radiance. mask: (y, x), not empty.
     """
     peak = float(np.percentile(truth[mask], 99.9))
-    made, true = (np.where(mask, np.nan_to_num(p), 0.0).astype(np.float64) for p in (picture, truth))
-    error = float(((made - true)[mask] ** 2).mean())
+    relit, true = (np.where(mask, np.nan_to_num(p), 0.0).astype(np.float64) for p in (picture, truth))
+    error = float(((relit - true)[mask] ** 2).mean())
     options = {"data_range": peak, "gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
-    _, local = structural_similarity(made, true, full=True, **options)
+    _, local = structural_similarity(relit, true, full=True, **options)
     return Fidelity(float(10 * np.log10(peak**2 / max(error, 1e-30))), float(local[mask].mean()))
 
 
@@ -231,9 +231,9 @@ def median_cut(environment: NDArray[np.floating], count: int) -> tuple[Array, Ar
         regions[largest : largest + 1] = _halves(weight, latitude, regions[largest])
     directions, strength = [], []
     for a, b, c, d in regions:
-        here = weight[a:b, c:d]
-        if here.sum() > 0:
-            middle = np.einsum("yx,yxi->i", here, towards[a:b, c:d])
+        power = weight[a:b, c:d]
+        if power.sum() > 0:
+            middle = np.einsum("yx,yxi->i", power, towards[a:b, c:d])
             directions.append(middle / max(float(np.linalg.norm(middle)), 1e-12))
             strength.append(energy[a:b, c:d].sum(axis=(0, 1)))
     return np.array(directions), np.array(strength)

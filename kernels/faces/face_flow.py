@@ -83,8 +83,10 @@ def face_flow(first: Image, second: Image, oval: Image, eyes_px: float) -> Image
     eyes = eyes_px * factor
     flow = np.zeros((2, size[1], size[0]))
     for level in _LEVELS:
-        one, other = (np.asarray(cv2.GaussianBlur(s, (0, 0), level.smooth * eyes), np.float32) for s in small)
-        flow = _refined(flow, one, other, weight, level.spacing * eyes)
+        smooth_first, smooth_second = (
+            np.asarray(cv2.GaussianBlur(s, (0, 0), level.smooth * eyes), np.float32) for s in small
+        )
+        flow = _refined(flow, smooth_first, smooth_second, weight, level.spacing * eyes)
     grown = [cv2.resize(f, (columns, rows), interpolation=cv2.INTER_CUBIC) for f in flow]
     return np.stack([grown[0] * (columns / size[0]), grown[1] * (rows / size[1])]).astype(np.float32)
 

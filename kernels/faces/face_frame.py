@@ -163,9 +163,9 @@ def find_face(normal: Image, template: Image) -> tuple[Array, float]:
         y = (m[1, 0] * columns + m[1, 1] * rows + m[1, 2]).astype(np.float32)
         return np.asarray((cv2.remap(picture, x, y, cv2.INTER_LINEAR) - wanted).ravel(), np.float64)
 
-    found = scipy.optimize.least_squares(misfit, np.ones(4), loss="soft_l1", diff_step=1.0)
-    matrix = matrix_of(found.x)
-    off = misfit(found.x) + wanted.ravel()
+    fit = scipy.optimize.least_squares(misfit, np.ones(4), loss="soft_l1", diff_step=1.0)
+    matrix = matrix_of(fit.x)
+    off = misfit(fit.x) + wanted.ravel()
     score = float(off @ wanted.ravel() / np.sqrt((off @ off) * float((wanted**2).sum()) + 1e-12))
     if not score > _FOUND:
         raise KernelError(f"no face is found in the normals (fit {score:.2f}, a face has {_FOUND:g} and more)")

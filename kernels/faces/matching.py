@@ -190,7 +190,7 @@ def match(
     first = [_repeated(level, i, field) for i, (level, field) in enumerate(zip(levels, fields, strict=True))]
     if "spectrum" not in methods:
         return first
-    spectra = np.mean([one.spectrum for one in first], axis=0)
+    spectra = np.mean([face.spectrum for face in first], axis=0)
     return [
         _with_spectrum(i, _shown(field, setting.oval, setting), spectra, setting, level)
         for i, (level, field) in enumerate(zip(levels, fields, strict=True))
@@ -249,9 +249,9 @@ class _Level(ABC):
     def __call__(self, index: int, field: Array, fade: Array) -> Matched:
         """A face (y, x) before the background, `fade` how much of it is shown."""
 
-    def off(self, found: Matched) -> float:
+    def off(self, candidate: Matched) -> float:
         """How far the picture still is from the set's figures, grey levels."""
-        return float(np.abs(np.array(found.figures) - self.target).max())
+        return float(np.abs(np.array(candidate.figures) - self.target).max())
 
 
 def _repeated(level: _Level, index: int, field: Array) -> Matched:
@@ -260,8 +260,8 @@ def _repeated(level: _Level, index: int, field: Array) -> Matched:
     for _ in range(_LEVEL_ROUNDS):
         if level.off(best) < ENOUGH_LEVELS:
             break
-        found = level(index, field, level.setting.oval)
-        best = min(best, found, key=level.off)
+        candidate = level(index, field, level.setting.oval)
+        best = min(best, candidate, key=level.off)
     return best
 
 
@@ -280,12 +280,12 @@ class _Curve(_Level):
         standard = (values - values.mean()) / values.std()
         out = np.full(field.shape, self.setting.background)
         out[inside] = self._curve(standard, part)
-        found = _measured(index, out, self.setting)
-        off = np.array(found.figures) - self.target
+        candidate = _measured(index, out, self.setting)
+        off = np.array(candidate.figures) - self.target
         self._settled = float(np.abs(off).max()) < ENOUGH_LEVELS / 2
         if not self._settled:
             self._aim -= np.clip(off, -5, 5)
-        return found
+        return candidate
 
     def _curve(self, standard: Array, part: Array) -> Array:
         """Values that meet the four figures best; luminance counts before code values."""
@@ -306,9 +306,9 @@ class _Curve(_Level):
         if self._settled:  # a curve that stays lets the rounds of the spectrum settle too
             return values(self._start)
         scale = [0.01, 0.01, 0.1, 0.1]
-        found = scipy.optimize.least_squares(misfit, self._start, x_scale=scale, max_nfev=20, ftol=1e-6)
-        self._start = found.x
-        return values(found.x)
+        fit = scipy.optimize.least_squares(misfit, self._start, x_scale=scale, max_nfev=20, ftol=1e-6)
+        self._start = fit.x
+        return values(fit.x)
 
 
 class _Histogram(_Level):
@@ -345,64 +345,64 @@ def _with_spectrum(index: int, picture: Array, target: Array, setting: Setting, 
     fade = np.clip(_RIM * setting.oval, 0, 1)
     best = float("inf"), level(index, picture, fade)
     for _ in range(_ROUNDS):
-        found = level(index, np.real(np.fft.ifft2(rest * gain[ring])) + setting.background, fade)
-        best = min(best, (_worst(found, target, level), found), key=lambda pair: pair[0])
-        gain[_LEAST_RING:] *= _lacking(found, target, _STEP)
+        candidate = level(index, np.real(np.fft.ifft2(rest * gain[ring])) + setting.background, fade)
+        best = min(best, (_worst(candidate, target, level), candidate), key=lambda pair: pair[0])
+        gain[_LEAST_RING:] *= _lacking(candidate, target, _STEP)
     for k in range(_SMALL_ROUNDS):
-        worst, found = best if k == 0 else (_worst(found, target, level), found)
-        best = min(best, (worst, found), key=lambda pair: pair[0])
+        worst, candidate = best if k == 0 else (_worst(candidate, target, level), candidate)
+        best = min(best, (worst, candidate), key=lambda pair: pair[0])
         if worst < 1:
             break
-        gain = np.concatenate([[0.0], _lacking(found, target, _SMALL_STEP)])
-        now = np.fft.fft2(setting.seen(setting.store(index, found.luminance)) - setting.background)
+        gain = np.concatenate([[0.0], _lacking(candidate, target, _SMALL_STEP)])
+        now = np.fft.fft2(setting.seen(setting.store(index, candidate.luminance)) - setting.background)
         amplitude = np.abs(now)
         # equal rings leave the contrast open: it grows when the strong frequencies of a ring grow and the weak fall
-        uneven = (amplitude / np.maximum(found.spectrum[ring] * now.size, 1e-12)) ** _spread(found, level)
+        uneven = (amplitude / np.maximum(candidate.spectrum[ring] * now.size, 1e-12)) ** _spread(candidate, level)
         uneven /= (
             np.bincount(ring.ravel(), (amplitude * uneven).ravel()) / np.bincount(ring.ravel(), amplitude.ravel())
         )[ring]
-        more = (level.target[0] - found.figures.mean_linear) / TOP + np.real(
+        more = (level.target[0] - candidate.figures.mean_linear) / TOP + np.real(
             np.fft.ifft2(now * np.where(ring < _LEAST_RING, 0, gain[ring] * uneven - 1))
         )
-        more = np.where(setting.oval > 0, more + _bend(found, level), 0)
-        found = _measured(index, found.luminance + more, setting)
+        more = np.where(setting.oval > 0, more + _bend(candidate, level), 0)
+        candidate = _measured(index, candidate.luminance + more, setting)
     return best[1]
 
 
-def _bend(found: Matched, level: _Level) -> Array:
+def _bend(candidate: Matched, level: _Level) -> Array:
     """(y, x) luminance to add for the contrast of code values to be right; mean and contrast of luminance stay.
 
     It goes along the part of the code values that is on no line through luminance.
     """
     inside, encoding = level.setting.oval > 0, level.setting.encoding
-    light = np.clip(found.luminance[inside], 0, 1)
+    light = np.clip(candidate.luminance[inside], 0, 1)
     code = encoding.code(light)
     middle, spread = light - light.mean(), code - code.mean()
     along = spread - middle * ((spread @ middle) / (middle @ middle))
     along /= max(float(np.abs(along).max()), 1e-9)
     slope = (encoding.code(light + _SMALL_LIGHT * along).std() - code.std()) / _SMALL_LIGHT
-    out = np.zeros(found.luminance.shape)
+    out = np.zeros(candidate.luminance.shape)
     if slope > 1:  # code values that are linear in luminance have none
-        lacking = level.target[3] - found.figures.contrast_code
+        lacking = level.target[3] - candidate.figures.contrast_code
         out[inside] = along * np.clip(_SMALL_STEP * lacking / slope, -0.01, 0.01)
     return out
 
 
-def _spread(found: Matched, level: _Level) -> float:
+def _spread(candidate: Matched, level: _Level) -> float:
     """The power to which amplitudes, over their ring's mean, are raised for the contrast to be right."""
-    ratio = level.target[1] / found.figures.contrast_linear
+    ratio = level.target[1] / candidate.figures.contrast_linear
     return float(np.clip(_SMALL_STEP * np.log(ratio), -0.2, 0.2))
 
 
-def _lacking(found: Matched, target: Array, step: float) -> Array:
+def _lacking(candidate: Matched, target: Array, step: float) -> Array:
     """(ring - 1,) what to multiply each ring by, from the first on."""
-    return np.asarray(np.clip(found.spectrum / target, 0.2, 5)[_LEAST_RING:] ** -step)
+    return np.asarray(np.clip(candidate.spectrum / target, 0.2, 5)[_LEAST_RING:] ** -step)
 
 
-def _worst(found: Matched, target: Array, level: _Level) -> float:
+def _worst(candidate: Matched, target: Array, level: _Level) -> float:
     """How far a picture is from the set, in parts of what is enough."""
-    rings_off = np.abs(found.spectrum / target - 1)[_LEAST_RING:].max()
-    return max(float(rings_off) / ENOUGH_SPECTRUM, level.off(found) / ENOUGH_LEVELS)
+    rings_off = np.abs(candidate.spectrum / target - 1)[_LEAST_RING:].max()
+    return max(float(rings_off) / ENOUGH_SPECTRUM, level.off(candidate) / ENOUGH_LEVELS)
 
 
 def apart(matched: Sequence[Matched]) -> dict[str, float]:
@@ -410,7 +410,7 @@ def apart(matched: Sequence[Matched]) -> dict[str, float]:
 
     `spectrum` is how far a ring of any picture is from the set's mean of that ring, as a part of it.
     """
-    rows = np.array([one.figures for one in matched])
-    spectra = np.stack([one.spectrum for one in matched])[:, _LEAST_RING:]
-    found = dict(zip(Figures._fields, map(float, np.ptp(rows, axis=0)), strict=True))
-    return {**found, "spectrum": float(np.abs(spectra / spectra.mean(axis=0) - 1).max())}
+    rows = np.array([face.figures for face in matched])
+    spectra = np.stack([face.spectrum for face in matched])[:, _LEAST_RING:]
+    ranges = dict(zip(Figures._fields, map(float, np.ptp(rows, axis=0)), strict=True))
+    return {**ranges, "spectrum": float(np.abs(spectra / spectra.mean(axis=0) - 1).max())}

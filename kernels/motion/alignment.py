@@ -188,9 +188,10 @@ def _residual(constant: Member, members: Sequence[Member], aligned: Image) -> tu
     level = np.zeros(shape, np.float32)
     for b in range(aligned.shape[1]):
         level += aligned[constant.place, b, 0] * len(couples)
-        for one, other in couples:
-            before += np.abs(one.bands[b][0] + other.bands[b][0] - constant.bands[b][0])
-            after += np.abs(aligned[one.place, b, 0] + aligned[other.place, b, 0] - aligned[constant.place, b, 0])
+        for gradient, complement in couples:
+            before += np.abs(gradient.bands[b][0] + complement.bands[b][0] - constant.bands[b][0])
+            pair = aligned[gradient.place, b, 0] + aligned[complement.place, b, 0]
+            after += np.abs(pair - aligned[constant.place, b, 0])
     subject = joint_flow.subject_of(aligned[constant.place, 0, 0]) & np.isfinite(before) & np.isfinite(after)
     stats = {}
     if subject.any():

@@ -110,8 +110,8 @@ def gathered(pictures: Mapping[str, Image], components: Sequence[str], *, still:
     if not still and CONSTANT in pictures:
         pictures = {CONSTANT: pictures[CONSTANT]}
     diffuse = {name: picture[0] for name, picture in pictures.items()}
-    total, one = _summed(diffuse)
-    light = Light(total, _spread(one * np.float32(len(pictures))))
+    total, variance = _summed(diffuse)
+    light = Light(total, _spread(variance * np.float32(len(pictures))))
     if "specular" in components:
         place = list(components).index("specular")
         total, noise = _summed({name: picture[place] for name, picture in pictures.items()})
@@ -123,7 +123,7 @@ def gathered(pictures: Mapping[str, Image], components: Sequence[str], *, still:
         light = light._replace(
             shares=tuple(1 + (a - b) / np.maximum(a + b, floor) for a, b in couples),
             # of equal noise in both, and as many in the darker half as in the brighter
-            share_noise=_spread(2 * one / np.maximum(constant, floor) ** 2),
+            share_noise=_spread(2 * variance / np.maximum(constant, floor) ** 2),
         )
     return light
 
@@ -138,32 +138,33 @@ def _summed(pictures: Mapping[str, Image]) -> tuple[Image, Image]:
     return total, np.asarray(finest_detail(total) ** 2 / np.float32(len(pictures)), np.float32)
 
 
-def band_flow(here: Light, there: Light, *, kinds: Sequence[Kind] = KINDS) -> BandFlow:
+def band_flow(fixed: Light, moving: Light, *, kinds: Sequence[Kind] = KINDS) -> BandFlow:
     """The flow from the reference band to another band.
 
     Args:
-        here: the reference band. there: the other band.
+        fixed: the reference band.
+        moving: the other band.
         kinds: the features to use; those that either band lacks are left out.
 
     Returns:
         The flow, its doubt, and what it was found from.
     """
-    used = [kind for kind in kinds if _has(here, kind) and _has(there, kind)]
-    subject = subject_of(here.diffuse)
-    if not used or not subject.any() or not subject_of(there.diffuse).any():
+    used = [kind for kind in kinds if _has(fixed, kind) and _has(moving, kind)]
+    subject = subject_of(fixed.diffuse)
+    if not used or not subject.any() or not subject_of(moving.diffuse).any():
         return _none(subject.shape, 0.0)
-    one, two = _side(here, used), _side(there, used)
-    finest, owner = _features(one, two, 0)
+    fixed_side, moving_side = _side(fixed, used), _side(moving, used)
+    finest, owner = _features(fixed_side, moving_side, 0)
     levels = [finest]
     for level in range(1, depth_of(subject.shape)):
-        one, two = one.smaller(), two.smaller()
-        levels.append(_features(one, two, level)[0])
+        fixed_side, moving_side = fixed_side.smaller(), moving_side.smaller()
+        levels.append(_features(fixed_side, moving_side, level)[0])
     factors = [_FACTOR[kind] for kind in owner]
-    found = match(levels, factors=factors, bending=_BENDING, warps=_WARPS, bounds=_BOUNDS)
-    alike = _alike(finest, found.flow[0])
+    flows = match(levels, factors=factors, bending=_BENDING, warps=_WARPS, bounds=_BOUNDS)
+    alike = _alike(finest, flows.flow[0])
     if alike < ALIKE:
         return _none(subject.shape, alike)
-    return BandFlow(found.flow[0], found.doubt_px[0], _parts(finest, owner), alike)
+    return BandFlow(flows.flow[0], flows.doubt_px[0], _parts(finest, owner), alike)
 
 
 def _none(shape: tuple[int, ...], alike: float) -> BandFlow:
@@ -208,24 +209,24 @@ def _side(light: Light, kinds: Sequence[Kind]) -> _Side:
     return _Side(tuple(images), known, subject_of(light.diffuse))
 
 
-def _features(here: _Side, there: _Side, level: int) -> tuple[Features, list[Kind]]:
+def _features(fixed: _Side, moving: _Side, level: int) -> tuple[Features, list[Kind]]:
     """The features of one level, and the kind of each."""
     ours, theirs, weights = [], [], []
     owner: list[Kind] = []
-    inside = np.maximum(_spread(here.subject.astype(np.float32)), np.float32(1e-3))
-    for (kind, *one), (_, *two) in zip(here.images, there.images, strict=True):
+    inside = np.maximum(_spread(fixed.subject.astype(np.float32)), np.float32(1e-3))
+    for (kind, *fixed_image), (_, *moving_image) in zip(fixed.images, moving.images, strict=True):
         for sigma in _SCALES_PX:
-            a, noise_a = _texture(kind, one[0], one[1], here.subject, sigma, level)
-            b, noise_b = _texture(kind, two[0], two[1], there.subject, sigma, level)
+            a, noise_a = _texture(kind, fixed_image[0], fixed_image[1], fixed.subject, sigma, level)
+            b, noise_b = _texture(kind, moving_image[0], moving_image[1], moving.subject, sigma, level)
             noise = noise_a + noise_b
-            power = _spread(np.where(here.subject, a * a + b * b, np.float32(0))) / inside
+            power = _spread(np.where(fixed.subject, a * a + b * b, np.float32(0))) / inside
             signal = np.maximum(power - _CHANCE * noise, 0)
             square = signal / ((power + np.float32(1e-12)) * (noise + _MISFIT[kind] ** 2))
             ours.append(a)
             theirs.append(b)
-            weights.append(np.where(here.subject, np.sqrt(square), 0).astype(np.float32))
+            weights.append(np.where(fixed.subject, np.sqrt(square), 0).astype(np.float32))
             owner.append(kind)
-    return Features(np.stack(ours), np.stack(theirs), np.stack(weights), there.known, here.subject), owner
+    return Features(np.stack(ours), np.stack(theirs), np.stack(weights), moving.known, fixed.subject), owner
 
 
 def _texture(
@@ -260,21 +261,21 @@ def _gain(sigma: float, level: int) -> np.float32:
 
 def _parts(at: Features, owner: Sequence[Kind]) -> dict[Kind, float]:
     """How much of what fixes the flow each kind has: its weighted slopes."""
-    told = dict.fromkeys(owner, 0.0)
-    for feature, weight, kind in zip(at.there, at.weight, owner, strict=True):
+    sums = dict.fromkeys(owner, 0.0)
+    for feature, weight, kind in zip(at.moving, at.weight, owner, strict=True):
         down, across = np.gradient(feature)
-        told[kind] += _FACTOR[kind] * float(np.sum((weight**2 * (down**2 + across**2))[at.subject], dtype=float))
-    whole = sum(told.values())
-    return {kind: part / whole if whole else 0.0 for kind, part in told.items()}
+        sums[kind] += _FACTOR[kind] * float(np.sum((weight**2 * (down**2 + across**2))[at.subject], dtype=float))
+    whole = sum(sums.values())
+    return {kind: part / whole if whole else 0.0 for kind, part in sums.items()}
 
 
 def _alike(at: Features, flow: Image) -> float:
     """Correlation of two bands' features, once the flow has brought them together."""
     y, x = np.indices(flow.shape[1:], np.float32)
     used = at.weight * at.subject
-    moved = np.stack([cv2.remap(f, x + flow[0], y + flow[1], cv2.INTER_LINEAR) for f in at.there])
-    size = float(np.sqrt(np.sum((used * at.here) ** 2, dtype=float) * np.sum((used * moved) ** 2, dtype=float)))
-    return float(np.sum(used**2 * at.here * moved, dtype=float)) / size if size > 0 else 0.0
+    moved = np.stack([cv2.remap(f, x + flow[0], y + flow[1], cv2.INTER_LINEAR) for f in at.moving])
+    size = float(np.sqrt(np.sum((used * at.fixed) ** 2, dtype=float) * np.sum((used * moved) ** 2, dtype=float)))
+    return float(np.sum(used**2 * at.fixed * moved, dtype=float)) / size if size > 0 else 0.0
 
 
 def _bright(picture: Image) -> float:

@@ -60,7 +60,7 @@ def find_band_ways(
     """
     count = len(shots.bands_nm)
     light = [
-        band_alignment.gathered({name: of[b] for name, of in pictures.items()}, shots.components, still=still)
+        band_alignment.gathered({name: bands[b] for name, bands in pictures.items()}, shots.components, still=still)
         for b in range(count)
     ]
     kinds = [kind for kind in band_alignment.KINDS if bands in ("auto", kind)]

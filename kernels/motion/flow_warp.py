@@ -169,8 +169,8 @@ def _landing(flow: Image, sure: Image, stretch: float) -> tuple[NDArray[np.int32
                     hx, hy = start[0, v, u], start[1, v, u]
                     wins = hx < 0
                     if not wins:
-                        one = abs(hx - x) <= reach and abs(hy - y) <= reach
-                        if one:
+                        joined = abs(hx - x) <= reach and abs(hy - y) <= reach
+                        if joined:
                             wins = d < away[v, u]
                         else:
                             wins = sure[y, x] > sure[hy, hx]

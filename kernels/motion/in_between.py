@@ -71,14 +71,14 @@ def carry(
     """
     inverse = Inverse(-flow, np.asarray(np.isfinite(flow).all(axis=0))) if negated else invert(flow, confidence)
     carried = warp_vectors(normal, inverse.flow, interpolation=interpolation)
-    here = inverse.valid & (carried[0] == carried[0])
+    known = inverse.valid & (carried[0] == carried[0])
     if confidence is None:
-        sure = here.astype(np.float32)
+        sure = known.astype(np.float32)
     else:
         sure = warp(np.asarray(confidence, np.float32), inverse.flow, interpolation="linear")
-        here &= sure > 0
-        sure = np.where(here, sure, np.float32(0))
-    return Side(np.where(here, carried, np.float32(np.nan)), sure)
+        known &= sure > 0
+        sure = np.where(known, sure, np.float32(0))
+    return Side(np.where(known, carried, np.float32(np.nan)), sure)
 
 
 def blend(sides: Sequence[Side], weights: Sequence[float]) -> Side:

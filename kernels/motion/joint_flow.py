@@ -81,12 +81,12 @@ class Flows(NamedTuple):
 class Features(NamedTuple):
     """One level of a pyramid for `match`: what two pictures show of the same things, feature by feature."""
 
-    here: Image
+    fixed: Image
     """(feature, y, x), on the grid of the flow."""
-    there: Image
+    moving: Image
     """(feature, y, x), of the other picture."""
     weight: Image
-    """(feature, y, x): 1 / the standard deviation of here(x) - there(x + flow(x)); 0 where that says nothing."""
+    """(feature, y, x): 1 / the standard deviation of fixed(x) - moving(x + flow(x)); 0 where that says nothing."""
     known: NDArray[np.bool_]
     """(y, x): where the other picture is known."""
     subject: NDArray[np.bool_]
@@ -196,17 +196,17 @@ def match(
         bounds: of that weight, when it is to follow from how much the flow bends.
 
     Returns:
-        Flows of one picture: there(x + flow(x)) shows what here(x) shows.
+        Flows of one picture: moving(x + flow(x)) shows what fixed(x) shows.
     """
 
     def level(k: int) -> _Level:
         at = levels[k]
-        both = np.stack([np.zeros_like(at.there), at.there], axis=-1)
-        known = np.ascontiguousarray(np.broadcast_to(at.known, at.there.shape))
-        return _Level(at.weight, np.zeros_like(at.weight[0]), at.here, both, known, _inner(at.subject))
+        both = np.stack([np.zeros_like(at.moving), at.moving], axis=-1)
+        known = np.ascontiguousarray(np.broadcast_to(at.known, at.moving.shape))
+        return _Level(at.weight, np.zeros_like(at.weight[0]), at.fixed, both, known, _inner(at.subject))
 
     terms = _alone(len(factors))._replace(weight=np.asarray(factors, np.float64))
-    found = _descended(
+    flows = _descended(
         level,
         levels[0].subject,
         len(levels),
@@ -215,7 +215,7 @@ def match(
         warps=warps,
         bounds=None if bounds is None else (bounds,),
     )
-    return Flows(found.flow[:1], found.doubt_px[:1])
+    return Flows(flows.flow[:1], flows.doubt_px[:1])
 
 
 def _alone(count: int) -> _Terms:
@@ -248,11 +248,11 @@ def _between_tracking_frames(
     dis = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     dis.setFinestScale(0 if constant.size < 300_000 else 1)
     dis.setVariationalRefinementIterations(10)
-    here = _eight_bits(constant, bright)
+    target = _eight_bits(constant, bright)
     far = float(np.abs(times).max())
     rows, flows = [], []
     for i in others:
-        flow = dis.calc(here, _eight_bits(pictures[i], bright), None)
+        flow = dis.calc(target, _eight_bits(pictures[i], bright), None)
         flows.append(np.moveaxis(flow, 2, 0))
         rows.append([times[i] / far, (times[i] / far) ** 2][: len(others)])
     start = np.zeros((2 * fields, *constant.shape), np.float32)
@@ -400,15 +400,15 @@ def extended(flow: Image, subject: NDArray[np.bool_]) -> Image:
     thin = max(1, width // 400)
     rim = cv2.distanceTransform(subject.astype(np.uint8), cv2.DIST_L2, 3)[::thin, ::thin]
     y, x = np.mgrid[0:height:thin, 0:width:thin].astype(np.float32)
-    here = np.minimum(np.minimum(x, width - 1 - x), np.minimum(y, height - 1 - y))
+    before = np.minimum(np.minimum(x, width - 1 - x), np.minimum(y, height - 1 - y))
     scale = width / 406
     # without any rim the distances are the largest number there is
     beside_rim = np.exp(-np.minimum(rim, width) / np.float32(4 * scale))
     out = np.empty((len(flow), height, width), np.float32)
     for f, o in zip(flow[:, :, ::thin, ::thin], out, strict=True):
         px, py = x + f[0], y + f[1]
-        there = np.minimum(np.minimum(px, width - 1 - px), np.minimum(py, height - 1 - py))
-        beside_border = np.exp(-np.maximum(np.minimum(here, there), 0) / np.float32(15 * scale))
+        after = np.minimum(np.minimum(px, width - 1 - px), np.minimum(py, height - 1 - py))
+        beside_border = np.exp(-np.maximum(np.minimum(before, after), 0) / np.float32(15 * scale))
         part = _RIM_PART * np.hypot(f[0], f[1]) * (beside_rim + beside_border)
         cv2.resize(part, (width, height), dst=o, interpolation=cv2.INTER_LINEAR)
     return out
@@ -577,7 +577,7 @@ def _sum_up(
     motion, jacobian = np.zeros(size, np.float32), np.zeros(size, np.float32)
     corner, square = np.zeros((4, size), np.float32), np.zeros((size, size), np.float32)
     across, down = np.zeros((2, 4), np.float32), np.zeros((2, 4), np.float32)
-    one, half = np.float32(1), np.float32(0.5)
+    unity, half = np.float32(1), np.float32(0.5)
     last_x, last_y = np.float32(width - 2), np.float32(height - 2)
     place = 0
     for cell_y in range(rows - 1):
@@ -594,7 +594,7 @@ def _sum_up(
                     if not chosen[y, x]:
                         continue
                     fx = np.float32((x - left) / step)
-                    a, b, c, d = (one - fx) * (one - fy), fx * (one - fy), (one - fx) * fy, fx * fy
+                    a, b, c, d = (unity - fx) * (unity - fy), fx * (unity - fy), (unity - fx) * fy, fx * fy
                     for k in range(size):
                         motion[k] = (
                             a * theta[cell_y, cell_x, k]
@@ -607,7 +607,7 @@ def _sum_up(
                         for k in range(fields):
                             px += basis[m, k] * motion[2 * k]
                             py += basis[m, k] * motion[2 * k + 1]
-                        seen[m] = px >= one and py >= one and px < last_x and py < last_y
+                        seen[m] = px >= unity and py >= unity and px < last_x and py < last_y
                         if not seen[m]:
                             continue
                         ix, iy = int(px), int(py)
@@ -657,7 +657,7 @@ def _sum_up(
                             continue
                         some = True
                         z = rho / scale[term]
-                        w = one / (one + z * z / 4)
+                        w = unity / (unity + z * z / 4)
                         w = w * w / (scale[term] * scale[term])
                         for e in range(size):
                             g = w * jacobian[e]

@@ -116,7 +116,7 @@ def alternating(
     if iterations < 0:
         raise ValueError(f"iterations is {iterations}; it must be 0 or more")
     done = list(islice(rounds(constant, gradient, complement, flow=flow), iterations + 1))
-    return Alternating(done[-1].u, done[-1].v, tuple(one.residual for one in done))
+    return Alternating(done[-1].u, done[-1].v, tuple(step.residual for step in done))
 
 
 def rounds(constant: Image, gradient: Image, complement: Image, *, flow: Method) -> Iterator[Round]:

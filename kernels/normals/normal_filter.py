@@ -58,15 +58,15 @@ def non_local_means(normal: Array, spread: Array, mask: NDArray[np.bool_]) -> Ar
                 continue  # each pair of pixels once
             if dy >= rows or abs(dx) >= columns:
                 continue
-            here = slice(0, rows - dy), slice(max(0, -dx), columns - max(0, dx))
-            there = slice(dy, rows), slice(max(0, dx), columns - max(0, -dx))
-            both = inside[here] * inside[there]
-            apart = detail[here] - detail[there]
-            distance = np.einsum("yxi,yxi->yx", apart, apart) / (variance[here] + variance[there]) * both
+            near = slice(0, rows - dy), slice(max(0, -dx), columns - max(0, dx))
+            far = slice(dy, rows), slice(max(0, dx), columns - max(0, -dx))
+            both = inside[near] * inside[far]
+            apart = detail[near] - detail[far]
+            distance = np.einsum("yxi,yxi->yx", apart, apart) / (variance[near] + variance[far]) * both
             # unit vectors have two free components
             ratio = _sum(distance) / np.maximum(_sum(both), 1) / 2
             alike = np.exp(-np.maximum(ratio - 1, 0) / STRENGTH) * both
-            for a, b in ((here, there), (there, here)):
+            for a, b in ((near, far), (far, near)):
                 weight = alike * precision[b]
                 total[a] += weight[..., None] * detail[b]
                 weights[a] += weight

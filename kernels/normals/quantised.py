@@ -14,10 +14,10 @@ def encode(normal: NDArray[np.floating], valid: NDArray[np.bool_] | None = None)
         valid: (y, x), where there is a normal; None: where all three components are finite.
     """
     known = np.isfinite(normal).all(axis=0) if valid is None else valid
-    one = normal.dtype.type  # so that float32 stays float32
+    number = normal.dtype.type  # so that float32 stays float32
     with np.errstate(invalid="ignore"):
-        steps = np.floor(np.where(known, normal, one(0)) * one(NORMAL_STEPS) + one(0.5))
-    return np.ascontiguousarray(np.where(known, steps, one(NORMAL_FILL)), np.int16)
+        steps = np.floor(np.where(known, normal, number(0)) * number(NORMAL_STEPS) + number(0.5))
+    return np.ascontiguousarray(np.where(known, steps, number(NORMAL_FILL)), np.int16)
 
 
 def decode(stored: NDArray[np.int16]) -> NDArray[np.float64]:

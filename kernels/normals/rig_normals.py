@@ -73,14 +73,14 @@ def solve(
         raise KernelError("no pixel is measured in all pictures of the set: they are black, or saturated")
     constant = measured.constant.mean(axis=0)
     mask = lit(scene.mask, constant) if scene.mask is not None else find_subject(constant)
-    found = self_consistent.solve(measured, mask, scene.camera, scene.lights, model=model)
-    points = scene.camera.points(found.depth)
-    return _read_out(measured, found, points, scene, as_one=as_one, filtered=filtered, openness=openness)
+    geometry = self_consistent.solve(measured, mask, scene.camera, scene.lights, model=model)
+    points = scene.camera.points(geometry.depth)
+    return _read_out(measured, geometry, points, scene, as_one=as_one, filtered=filtered, openness=openness)
 
 
 def _read_out(
     measured: near_light.LightVectors,
-    found: self_consistent.Geometry | None,
+    geometry: self_consistent.Geometry | None,
     points: NDArray[np.float64],
     scene: Scene,
     *,
@@ -89,47 +89,47 @@ def _read_out(
     openness: str = "modelled",
 ) -> Mapping[str, Any]:
     """The kernel's outputs from what the rounds found; without it, lights are distant."""
-    mask = measured.weight.sum(axis=0) > 0 if found is None else found.mask
-    at, seen = points[mask], None if found is None else found.seen
+    mask = measured.weight.sum(axis=0) > 0 if geometry is None else geometry.mask
+    at, seen = points[mask], None if geometry is None else geometry.seen
     albedo = measured.constant
     irradiance = np.full(mask.shape, np.nan)
-    one = near_light.fused(measured)
-    irradiance[mask] = near_light.invert(one.vector[0][mask], at, scene.lights, seen).direct
-    if found is not None:
-        measured = found.without_bounces(measured, np.where(mask, irradiance, 1.0))
-        one = near_light.fused(measured)
-        irradiance[mask] = _irradiance(one, mask, at, scene.lights, seen, openness)
+    joint = near_light.fused(measured)
+    irradiance[mask] = near_light.invert(joint.vector[0][mask], at, scene.lights, seen).direct
+    if geometry is not None:
+        measured = geometry.without_bounces(measured, np.where(mask, irradiance, 1.0))
+        joint = near_light.fused(measured)
+        irradiance[mask] = _irradiance(joint, mask, at, scene.lights, seen, openness)
     norms = np.linalg.norm(measured.vector, axis=3) / (2 * np.maximum(measured.constant, 1e-30))
     wanted = near_light.fused(measured) if as_one else measured
-    normals_, valids = [], []
+    stored, valids = [], []
     for vector, weight in zip(wanted.vector, wanted.weight, strict=True):
-        valid = mask & (weight > 0)
+        inside = mask & (weight > 0)
         normal = np.full((*mask.shape, 3), np.nan)
-        normal[valid] = near_light.invert(
-            vector[valid], points[valid], scene.lights, None if seen is None else seen[valid[mask]]
+        normal[inside] = near_light.invert(
+            vector[inside], points[inside], scene.lights, None if seen is None else seen[inside[mask]]
         ).normal
         if filtered == "surface":
-            normal = np.where(valid[..., None], surface_normals(points, mask), np.nan)
+            normal = np.where(inside[..., None], surface_normals(points, mask), np.nan)
         if filtered == "nlm":
-            normal = non_local_means(normal, np.where(valid, 1 / np.sqrt(np.maximum(weight, 1e-30)), 0), valid)
-        normals_.append(quantised.encode(np.moveaxis(normal, 2, 0)))
-        valids.append(valid & np.isfinite(normal).all(axis=2))
+            normal = non_local_means(normal, np.where(inside, 1 / np.sqrt(np.maximum(weight, 1e-30)), 0), inside)
+        stored.append(quantised.encode(np.moveaxis(normal, 2, 0)))
+        valids.append(inside & np.isfinite(normal).all(axis=2))
     norm = norms
     if as_one:
         total = np.maximum(measured.weight.sum(axis=0), 1e-30)
         albedo, norm = (((measured.weight * a).sum(axis=0) / total)[None] for a in (albedo, norm))
-    valid_ = np.stack(valids)
+    valid = np.stack(valids)
     out: dict[str, Any] = {
-        "normal": np.stack(normals_),
-        "albedo": np.where(valid_, albedo, np.nan).astype(np.float32),
-        "norm": np.where(valid_, norm, np.nan).astype(np.float32),
-        "valid": valid_,
+        "normal": np.stack(stored),
+        "albedo": np.where(valid, albedo, np.nan).astype(np.float32),
+        "norm": np.where(valid, norm, np.nan).astype(np.float32),
+        "valid": valid,
     }
-    if found is not None:
-        out["depth_mm"] = found.depth.astype(np.float32)
+    if geometry is not None:
+        out["depth_mm"] = geometry.depth.astype(np.float32)
         out["irradiance"] = irradiance.astype(np.float32)
-        out["stats"] = {"distance_mm": found.distance_mm}
-        if not found.distance_found:
+        out["stats"] = {"distance_mm": geometry.distance_mm}
+        if not geometry.distance_found:
             out["warnings"] = [_NO_DISTANCE]
     if seen is not None:
         share = np.zeros((seen.shape[1], *mask.shape), np.uint8)
@@ -139,7 +139,7 @@ def _read_out(
 
 
 def _irradiance(
-    one: near_light.LightVectors,
+    joint: near_light.LightVectors,
     mask: NDArray[np.bool_],
     at: NDArray[np.float64],
     lights: near_light.Lights,
@@ -147,14 +147,14 @@ def _irradiance(
     openness: str,
 ) -> NDArray[np.float64]:
     """(point,): light that arrives directly, as the found surface has it or, measured, as the norm corrects it."""
-    vector, weight = one.vector[0][mask], one.weight[0][mask]
+    vector, weight = joint.vector[0][mask], joint.weight[0][mask]
     response = near_light.invert(vector, at, lights, seen)
     if openness == "modelled":
         return response.direct
     share = np.ones(len(at))
     if seen is not None:
-        open_ = near_light.invert(response.vector, at, lights).direct
-        share = np.clip(response.direct / np.maximum(open_, 1e-12), 0, 1)
+        unshadowed = near_light.invert(response.vector, at, lights).direct
+        share = np.clip(response.direct / np.maximum(unshadowed, 1e-12), 0, 1)
     # noise lengthens a vector: by its two components across, squared
     square = np.einsum("pi,pi->p", vector, vector) - 2 / np.maximum(weight, 1e-12)
     excess, variance = np.zeros((2, *mask.shape))

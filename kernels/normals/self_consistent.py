@@ -108,99 +108,99 @@ def _rounds(measured: LightVectors, mask: Mask, camera: Pinhole, lights: Lights,
     mask = mask & (measured.weight.sum(axis=0) > 0)
     if mask.sum() < 64:
         raise KernelError("the subject's mask holds no measured pixels; give the capture a mask, or light it more")
-    found = Geometry(mask, np.full(mask.shape, np.nan), None, None, None, None, 0.0, False)
+    geometry = Geometry(mask, np.full(mask.shape, np.nan), None, None, None, None, 0.0, False)
     direct = np.ones(mask.shape)
     log_depth: Array | None = None
-    one = fused(measured)
-    normal = _unit(one.vector[0][mask])
+    joint = fused(measured)
+    normal = _unit(joint.vector[0][mask])
     response: Response | None = None
     for turn in range(ROUNDS[model]):
         turned = _in_camera(normal, mask, camera)
         log_depth = integrate(turned, mask, camera.rays, start=log_depth)
         if model != "near" and turn >= _FIRST_SWING:
-            loose = found.loose or LooseParts.of(turned, mask, camera, log_depth)
-            loose = loose.moved(log_depth, found.distance_mm, one, camera, lights)
-            log_depth, found = log_depth + loose.swing(), replace(found, loose=loose)
-        found = _placed(found, log_depth, one, normal, camera, lights)
-        points = camera.points(found.depth)
+            loose = geometry.loose or LooseParts.of(turned, mask, camera, log_depth)
+            loose = loose.moved(log_depth, geometry.distance_mm, joint, camera, lights)
+            log_depth, geometry = log_depth + loose.swing(), replace(geometry, loose=loose)
+        geometry = _placed(geometry, log_depth, joint, normal, camera, lights)
+        points = camera.points(geometry.depth)
         if model != "near" and turn > 0:
-            now = visible(points[mask], found.depth, camera, lights.position)
-            mixed = now if found.seen is None else (found.seen + now) / np.float32(2)
-            found = replace(found, seen=np.asarray(mixed, np.float32))
+            now = visible(points[mask], geometry.depth, camera, lights.position)
+            mixed = now if geometry.seen is None else (geometry.seen + now) / np.float32(2)
+            geometry = replace(geometry, seen=np.asarray(mixed, np.float32))
         if model == "full" and turn > 0 and response is not None:
             direct[mask] = response.direct
-            found = _with_bounces(found, measured, direct, response, points, camera, lights, turn)
-            one = fused(found.without_bounces(measured, direct))
-        response = invert(one.vector[0][mask], points[mask], lights, found.seen)
-        normal = _filled(response.normal, one.vector[0][mask])
-    return found
+            geometry = _with_bounces(geometry, measured, direct, response, points, camera, lights, turn)
+            joint = fused(geometry.without_bounces(measured, direct))
+        response = invert(joint.vector[0][mask], points[mask], lights, geometry.seen)
+        normal = _filled(response.normal, joint.vector[0][mask])
+    return geometry
 
 
 def _with_bounces(
-    found: Geometry, measured: LightVectors, direct: Array, response: Response, points: Array,
+    geometry: Geometry, measured: LightVectors, direct: Array, response: Response, points: Array,
     camera: Pinhole, lights: Lights, turn: int,
 ) -> Geometry:  # fmt: skip
-    mask = found.mask
+    mask = geometry.mask
     if len(measured.constant) >= _SPECTRAL_BANDS:
         slope, albedo = without_bounces(measured.ratio(), measured.weight, measured.constant, direct, mask)
-        return replace(found, slope=slope, albedo=albedo)
+        return replace(geometry, slope=slope, albedo=albedo)
     if turn % 2 == 0:  # form factors are the dear part, and change little
-        return found
+        return geometry
     normal = np.zeros((*mask.shape, 3))
     normal[mask] = np.nan_to_num(response.normal)
-    tiles = Tiles(points, normal, found.depth, mask, camera)
+    tiles = Tiles(points, normal, geometry.depth, mask, camera)
     light = np.zeros((*mask.shape, 4))
     light[mask] = np.concatenate([response.vector, response.direct[:, None]], axis=1)
-    return replace(found, bounced=np.stack([tiles.bounced(np.nan_to_num(light), c) for c in measured.constant]))
+    return replace(geometry, bounced=np.stack([tiles.bounced(np.nan_to_num(light), c) for c in measured.constant]))
 
 
 def _placed(
-    found: Geometry, log_depth: Array, one: LightVectors, normal: Array, camera: Pinhole, lights: Lights
+    geometry: Geometry, log_depth: Array, joint: LightVectors, normal: Array, camera: Pinhole, lights: Lights
 ) -> Geometry:
     """The depth map at the distance at which |m| / r_c is what the model predicts.
 
     Parts of the mask that do not touch have a distance each; small ones keep their place beside the largest.
     """
-    mask = found.mask
+    mask = geometry.mask
     centre = float(camera.to_camera(np.zeros(3))[2])
     _, parts, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
     order = 1 + np.argsort(-stats[1:, cv2.CC_STAT_AREA], kind="stable")
     shape = np.exp(log_depth - np.nanmedian(log_depth[parts == order[0]]))
     depth = np.full(mask.shape, np.nan)
-    told = False
-    first = guess = found.distance_mm or centre
+    measured = False
+    first = guess = geometry.distance_mm or centre
     for k, part in enumerate(order):
-        here = parts == part
+        region = parts == part
         distance, known = first, False
-        if k == 0 or here.sum() >= max(_LEAST_PART_PX, 0.02 * mask.sum()):
-            own = shape if k == 0 else shape / np.nanmedian(shape[here])
-            distance, known = _distance(here, own, one, camera, lights, guess, centre)
+        if k == 0 or region.sum() >= max(_LEAST_PART_PX, 0.02 * mask.sum()):
+            own = shape if k == 0 else shape / np.nanmedian(shape[region])
+            distance, known = _distance(region, own, joint, camera, lights, guess, centre)
             if k and known:
-                depth[here] = own[here] * distance
+                depth[region] = own[region] * distance
                 continue
         if k == 0:
-            told = known
+            measured = known
             first = distance if known else centre
-        depth[here] = shape[here] * first
-    return replace(found, depth=depth, distance_mm=float(np.median(depth[mask])), distance_found=told)
+        depth[region] = shape[region] * first
+    return replace(geometry, depth=depth, distance_mm=float(np.median(depth[mask])), distance_found=measured)
 
 
 def _distance(
-    here: Mask, shape: Array, one: LightVectors, camera: Pinhole, lights: Lights, guess: float, centre: float
+    region: Mask, shape: Array, joint: LightVectors, camera: Pinhole, lights: Lights, guess: float, centre: float
 ) -> tuple[float, bool]:
     """Where the norm's residual crosses zero for one part of the surface."""
-    some = np.zeros(here.shape, np.bool_)
-    some[::2, ::2] = here[::2, ::2]
+    some = np.zeros(region.shape, np.bool_)
+    some[::2, ::2] = region[::2, ::2]
     if some.sum() < 16 or centre <= 0:
         return guess, False
-    front = np.where(here, shape * guess, np.nan)
+    front = np.where(region, shape * guess, np.nan)
     points = camera.points(front)[some]
     seen = visible(points, front, camera, lights.position)
-    vector, norm = one.vector[0][some], np.linalg.norm(one.vector[0][some], axis=1) / one.constant[0][some]
+    vector, norm = joint.vector[0][some], np.linalg.norm(joint.vector[0][some], axis=1) / joint.constant[0][some]
     # open points: shadows and bounced light would change the norm
     whole = invert(vector, points, lights).direct
-    open_ = invert(vector, points, lights, seen).direct / np.maximum(whole, 1e-12)
-    chosen = open_ >= min(_OPEN, float(np.nanquantile(open_, 0.6)))
+    openness = invert(vector, points, lights, seen).direct / np.maximum(whole, 1e-12)
+    chosen = openness >= min(_OPEN, float(np.nanquantile(openness, 0.6)))
     rays = (camera.rays @ camera.rotation)[some] * shape[some][:, None]
     rays, vector, norm, seen = rays[chosen], vector[chosen], norm[chosen], seen[chosen]
 
@@ -250,7 +250,7 @@ def _at_full_size(
             layer = np.zeros(coarse.mask.shape)
             layer[coarse.mask] = coarse.seen[:, k]
             seen[:, k] = spread(layer)[mask]
-    found = replace(
+    geometry = replace(
         coarse,
         mask=mask,
         depth=np.where(mask, depth, np.nan),
@@ -260,24 +260,24 @@ def _at_full_size(
         bounced=None if coarse.bounced is None else np.stack([spread(b) for b in coarse.bounced]),
     )
     direct = np.ones(mask.shape)
-    if found.bounced is not None:
-        points = camera.points(found.depth)[mask]
+    if geometry.bounced is not None:
+        points = camera.points(geometry.depth)[mask]
         direct[mask] = invert(fused(measured).vector[0][mask], points, lights, seen).direct
-    one = fused(found.without_bounces(measured, direct))
-    response = invert(one.vector[0][mask], camera.points(found.depth)[mask], lights, seen)
-    normal = _filled(response.normal, one.vector[0][mask])
+    joint = fused(geometry.without_bounces(measured, direct))
+    response = invert(joint.vector[0][mask], camera.points(geometry.depth)[mask], lights, seen)
+    normal = _filled(response.normal, joint.vector[0][mask])
     start = np.where(mask, np.log(np.maximum(depth, 1.0)), np.nan)
     log_depth = integrate(_in_camera(normal, mask, camera), mask, camera.rays, start=start, rounds=3)
-    if found.loose is not None:
+    if geometry.loose is not None:
         # what the light has told of the small pictures, integration does not know again
-        log_depth = log_depth + found.loose.spread(spread, mask).drawn(start - log_depth)
+        log_depth = log_depth + geometry.loose.spread(spread, mask).drawn(start - log_depth)
     # each part of the mask stays where the small pictures have put it
     _, parts = cv2.connectedComponents(mask.astype(np.uint8), connectivity=4)
     fine = np.full(mask.shape, np.nan)
     for part in range(1, int(parts.max()) + 1):
-        here = parts == part
-        fine[here] = np.exp(log_depth[here] + np.median(start[here] - log_depth[here]))
-    return replace(found, depth=fine)
+        region = parts == part
+        fine[region] = np.exp(log_depth[region] + np.median(start[region] - log_depth[region]))
+    return replace(geometry, depth=fine)
 
 
 class _Spread:

@@ -101,11 +101,11 @@ def _every(pictures: Mapping[str, Image]) -> tuple[slice, slice]:
 
 def _joined(parts: Sequence[tuple[Array, float, float, Array]]) -> _Samples:
     """From value, reads, shots and level of each; what is not finite is left out."""
-    found = []
+    columns = []
     for value, reads, shots, level in parts:
         known = np.isfinite(value) & np.isfinite(level)
-        found.append((value[known], np.full(int(known.sum()), reads), shots * np.maximum(level[known], 0)))
-    return _Samples(*(np.concatenate(column) for column in zip(*found, strict=True)))
+        columns.append((value[known], np.full(int(known.sum()), reads), shots * np.maximum(level[known], 0)))
+    return _Samples(*(np.concatenate(column) for column in zip(*columns, strict=True)))
 
 
 def _fit(samples: _Samples) -> tuple[float, float]:
@@ -119,11 +119,11 @@ def _fit(samples: _Samples) -> tuple[float, float]:
     alpha, beta = 0.5 / float(np.mean(reads)), 0.5
     for step in _STEPS:
         variance = np.maximum(alpha * reads + beta * shots, 1e-9)
-        told = variance * (1 + step * (square - variance) / (square + variance))
+        robust = variance * (1 + step * (square - variance) / (square + variance))
         weight = 1 / variance**2
         weighted = weight * reads
         rr, rs, ss = weighted @ reads, weighted @ shots, (weight * shots) @ shots
-        r, s = weighted @ told, (weight * shots) @ told
+        r, s = weighted @ robust, (weight * shots) @ robust
         rr *= 1 + _PRIOR / square.size
         whole = max(float(rr * ss - rs * rs), 1e-300)
         alpha, beta = float(r * ss - s * rs) / whole, float(s * rr - r * rs) / whole

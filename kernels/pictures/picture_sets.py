@@ -109,15 +109,15 @@ class Window(NamedTuple):
 def windows(illumination: Sequence[str]) -> list[Window]:
     """The window of every tracking frame, in order."""
     tracking = [i for i, name in enumerate(illumination) if name == CONSTANT]
-    found = []
+    out = []
     for k, frame in enumerate(tracking):
         first = tracking[k - 1] + 1 if k else 0
         last = tracking[k + 1] if k + 1 < len(tracking) else len(illumination)
         at: dict[str, int] = {}
         for i in sorted(range(first, last), key=lambda i: abs(i - frame)):
             at.setdefault(illumination[i], i)
-        found.append(Window(frame, at))
-    return found
+        out.append(Window(frame, at))
+    return out
 
 
 def chosen_sets(
@@ -131,18 +131,18 @@ def chosen_sets(
     Raises:
         KernelError: none does; says what is missing and what would work.
     """
-    found: list[tuple[Window, Choice]] = []
+    out: list[tuple[Window, Choice]] = []
     for window in candidates:
         with contextlib.suppress(KernelError):
-            found.append((window, choose(list(window.at), method=method, base=base, correct=correct)))
-    if not found:
+            out.append((window, choose(list(window.at), method=method, base=base, correct=correct)))
+    if not out:
         works = [m for m in _BY_NOISE if any(_supports(m, "auto", set(window.at)) for window in candidates)]
         hint = f"method: {' or '.join(works)} with base: auto would work" if works else "no method works with these"
         raise KernelError(
             f"{method} needs {_needs(method, base)} between the tracking frames (C) before and after one; "
             f"the session has {whole}; {hint}"
         )
-    return found
+    return out
 
 
 def pairs(names: Sequence[str]) -> list[tuple[int, int]]:

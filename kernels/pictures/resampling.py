@@ -89,7 +89,7 @@ def warp(image: Image, to_source: NDArray[np.float64], height: int, width: int) 
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=_FAST)
-def _sweep(above: Image, here: Image, below: Image, last: Image, t: Image, u: Image, out: Image) -> None:
+def _sweep(above: Image, middle: Image, below: Image, last: Image, t: Image, u: Image, out: Image) -> None:
     """Interpolate a run of pixels whose neighbours follow each other; the rows begin one pixel before the first.
 
     t (across) and u (down) are fractions behind the second of four neighbours.
@@ -99,7 +99,7 @@ def _sweep(above: Image, here: Image, below: Image, last: Image, t: Image, u: Im
         wy0, wy1, wy2, wy3 = weights(u[i])
         value = (
             wy0 * (wx0 * above[i] + wx1 * above[i + 1] + wx2 * above[i + 2] + wx3 * above[i + 3])
-            + wy1 * (wx0 * here[i] + wx1 * here[i + 1] + wx2 * here[i + 2] + wx3 * here[i + 3])
+            + wy1 * (wx0 * middle[i] + wx1 * middle[i + 1] + wx2 * middle[i + 2] + wx3 * middle[i + 3])
             + wy2 * (wx0 * below[i] + wx1 * below[i + 1] + wx2 * below[i + 2] + wx3 * below[i + 3])
             + wy3 * (wx0 * last[i] + wx1 * last[i + 1] + wx2 * last[i + 2] + wx3 * last[i + 3])
         )

@@ -211,11 +211,11 @@ def _form_factors(rows: Any, patches: Any, front: Any, lens: Any, slack: float, 
             d = places[j] - places[i]
             d2 = d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
             length = np.sqrt(d2)
-            here = (normals[i, 0] * d[0] + normals[i, 1] * d[1] + normals[i, 2] * d[2]) / length
-            there = -(normals[j, 0] * d[0] + normals[j, 1] * d[1] + normals[j, 2] * d[2]) / length
-            if here <= 0 or there <= 0:
+            leaving = (normals[i, 0] * d[0] + normals[i, 1] * d[1] + normals[i, 2] * d[2]) / length
+            arriving = -(normals[j, 0] * d[0] + normals[j, 1] * d[1] + normals[j, 2] * d[2]) / length
+            if leaving <= 0 or arriving <= 0:
                 continue
-            factor = here * there * areas[j] / (np.pi * d2 + areas[j])
+            factor = leaving * arriving * areas[j] / (np.pi * d2 + areas[j])
             if factor < 1e-6:
                 continue
             free = True

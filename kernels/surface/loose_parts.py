@@ -77,7 +77,7 @@ class LooseParts:
         return np.asarray(np.tensordot(self.amplitude, self.shapes, 1))
 
     def moved(
-        self, log_depth: Array, distance_mm: float, one: LightVectors, camera: Pinhole, lights: Lights
+        self, log_depth: Array, distance_mm: float, joint: LightVectors, camera: Pinhole, lights: Lights
     ) -> "LooseParts":
         """Swung so that the norm is what the model predicts.
 
@@ -91,8 +91,8 @@ class LooseParts:
         if not len(self.shapes) or some.sum() < 64:
             return self
         base = log_depth - np.median(log_depth[mask]) + np.log(distance_mm)
-        vector = one.vector[0][some]
-        norm = np.linalg.norm(vector, axis=1) / np.maximum(one.constant[0][some], 1e-12)
+        vector = joint.vector[0][some]
+        norm = np.linalg.norm(vector, axis=1) / np.maximum(joint.constant[0][some], 1e-12)
 
         def excess(amplitude: Array) -> Array:
             depth = np.exp(base + np.tensordot(amplitude, self.shapes, 1))
@@ -108,7 +108,7 @@ class LooseParts:
 
     def _step(self, amplitude: Array, excess: Callable[[Array], Array], distance_mm: float) -> Array:
         trial, farthest = _TRIAL_MM / distance_mm, _FARTHEST_MM / distance_mm
-        here = excess(amplitude)
+        misfit = excess(amplitude)
         # to both sides, because a shadow's edge makes them differ
         slopes = np.stack(
             [
@@ -117,10 +117,10 @@ class LooseParts:
             ],
             axis=1,
         )
-        known = np.isfinite(here) & np.isfinite(slopes).all(axis=1)
-        weight = _EVERY**2 / (_BEND * np.maximum(np.abs(here[known]), _BEND))
+        known = np.isfinite(misfit) & np.isfinite(slopes).all(axis=1)
+        weight = _EVERY**2 / (_BEND * np.maximum(np.abs(misfit[known]), _BEND))
         system = (slopes[known] * weight[:, None]).T @ slopes[known] + np.diag(self.cost)
-        right = (slopes[known] * weight[:, None]).T @ here[known] + self.cost * amplitude
+        right = (slopes[known] * weight[:, None]).T @ misfit[known] + self.cost * amplitude
         return np.asarray(np.clip(-np.linalg.solve(system, right), -farthest, farthest))
 
     def spread(self, larger: Callable[[Array], Array], mask: Mask) -> "LooseParts":

@@ -127,15 +127,15 @@ def _detect(image: NDArray[Any], inner_corners: tuple[int, int]) -> Array | None
         larger = cv2.resize(picture, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC)
         # CALIB_CB_LARGER: otherwise a part of a larger board passes for the board that was asked for
         flags |= cv2.CALIB_CB_LARGER
-        found, points, meta = cv2.findChessboardCornersSBWithMeta(larger, inner_corners, flags)
-        if found and sum(meta.shape[:2]) == sum(inner_corners) + 1:
+        complete, points, meta = cv2.findChessboardCornersSBWithMeta(larger, inner_corners, flags)
+        if complete and sum(meta.shape[:2]) == sum(inner_corners) + 1:
             # one line too many may be the frame or a table's edge: ask for the exact board
             exact, inner, _ = cv2.findChessboardCornersSBWithMeta(
                 larger, inner_corners, flags & ~cv2.CALIB_CB_LARGER
             )
             if exact:
                 points, meta = inner, np.empty(inner_corners[::-1])
-        if found:
+        if complete:
             # resize keeps the picture's outline, so centres move by half a pixel's difference
             return ((np.asarray(points, float) + 0.5) / factor - 0.5).reshape(*meta.shape[:2], 2)
     return None

@@ -84,7 +84,7 @@ def fit_camera(corners: Sequence[Array], *, square_mm: float, shape: tuple[int, 
     squared = (residual**2).sum(-1)
     prior = _priors(matrix[0, 0], shape)
     fixed = tuple(
-        name for name, told in zip(CAMERA_PARAMETERS[1:], prior, strict=True) if deviation[name] > _TOLD * told
+        name for name, width in zip(CAMERA_PARAMETERS[1:], prior, strict=True) if deviation[name] > _TOLD * width
     )
     sentence = (
         f"f = {matrix[0, 0]:.1f} +- {deviation['fx']:.1f} px from {len(corners)} picture(s), "
@@ -227,11 +227,11 @@ def _priors(f: float, shape: tuple[int, int]) -> Array:
 
 
 def _held(fixed: Sequence[str]) -> str:
-    said = []
+    parts = []
     if "cx" in fixed:
-        said.append("the picture's middle")
+        parts.append("the picture's middle")
     if "fy" in fixed:
-        said.append("square pixels")
+        parts.append("square pixels")
     if any(name[0] in "kp" for name in fixed):
-        said.append("0")
-    return ", ".join(said)
+        parts.append("0")
+    return ", ".join(parts)

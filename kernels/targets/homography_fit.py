@@ -66,9 +66,9 @@ def fit_dlt(first: Array, second: Array) -> Array:
     if len(first) < 4:
         raise KernelError(f"a homography needs 4 pairs of corners, not all on a line; {len(first)} are given")
     (t, a), (u, b) = _normalised(first), _normalised(second)
-    one, zero = np.ones((len(a), 1)), np.zeros((len(a), 3))
-    p = np.concatenate([a, one], 1)
-    rows = np.concatenate([np.hstack([p, zero, -b[:, :1] * p]), np.hstack([zero, p, -b[:, 1:] * p])])
+    ones, zeros = np.ones((len(a), 1)), np.zeros((len(a), 3))
+    p = np.concatenate([a, ones], 1)
+    rows = np.concatenate([np.hstack([p, zeros, -b[:, :1] * p]), np.hstack([zeros, p, -b[:, 1:] * p])])
     _, strengths, vectors = np.linalg.svd(rows)
     if strengths[7] < 1e-9 * strengths[0]:
         raise KernelError("the corners lie on a line, so they do not give a homography; show the whole board")

@@ -315,13 +315,13 @@ def _wiring(
         else:
             away = f"{np.degrees(apart[i, nearest]):.1f} degrees from the nearest place of the layout"
             findings.append(Finding("no place", (k,), f"{light_name(k)} is {away}"))
-    told = {finding.lights[0] for finding in findings}
+    reported = {finding.lights[0] for finding in findings}
     for k in lights.tolist():
         j = int(place[k])
         if j >= 0 and j < len(seen) and place[j] == k and k < j:
             what = f"{light_name(k)} and {light_name(j)} are swapped: each shows at the other's place"
             findings.append(Finding("swapped", (k, j), what))
-        elif j >= 0 and j != k and not (j < len(seen) and place[j] == k) and k not in told:
+        elif j >= 0 and j != k and not (j < len(seen) and place[j] == k) and k not in reported:
             what = f"{light_name(k)} shows at the place of {light_name(j)}"
             findings.append(Finding("elsewhere", (k, j), what))
     free = [j for j in range(len(placed)) if j not in set(place.tolist())]

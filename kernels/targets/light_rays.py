@@ -52,9 +52,9 @@ def ray_sigma(
     inward = ball[:2] / ball[2] - at_px
     # infinity, not its first order: at the rim the error is as large as the way to the rim allows
     inward = inward / np.maximum(np.linalg.norm(inward, axis=1, keepdims=True), 1e-9) * sigma_px[:, None]
-    _, here = light_rays(at_px, centre_mm, radius_mm, intrinsics, distortion=distortion)
-    _, there = light_rays(at_px + inward, centre_mm, radius_mm, intrinsics, distortion=distortion)
-    return angle(here, there)
+    _, ray = light_rays(at_px, centre_mm, radius_mm, intrinsics, distortion=distortion)
+    _, moved_ray = light_rays(at_px + inward, centre_mm, radius_mm, intrinsics, distortion=distortion)
+    return angle(ray, moved_ray)
 
 
 def to_world(point: Floats, direction: Floats, turn: Floats, t_mm: Floats) -> tuple[Floats, Floats]:

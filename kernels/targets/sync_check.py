@@ -42,7 +42,7 @@ class Event:
 class Synchronisation:
     """What the pictures of a test show."""
 
-    found: tuple[str, ...]
+    shown: tuple[str, ...]
     """(frame,): the illumination that lit most of it."""
     step: NDArray[np.int64]
     """(frame,): the step of the sequence that it shows; -1 where it fits none."""
@@ -106,9 +106,9 @@ def check(
         drive[i, pick] = nnls(crossed[np.ix_(pick, pick)], sums[i, pick] / strength[pick])[0]
         if variance is not None:
             spread[i, pick] = variance[i, pick] / strength[pick] ** 2
-    found = tuple(_nearest(row, names, patterns, dark_below) for row in drive)
-    step, events = align(found, declared)
-    wrong = np.array([f != d for f, d in zip(found, declared, strict=True)])
+    shown = tuple(_nearest(row, names, patterns, dark_below) for row in drive)
+    step, events = align(shown, declared)
+    wrong = np.array([f != d for f, d in zip(shown, declared, strict=True)])
     leaks = np.array(
         [
             _leak(sums[i] / strength, spread[i], crossed, seen, int(step[i]), declared, patterns)
@@ -116,7 +116,7 @@ def check(
         ]
     )
     before, after, error, rest = leaks.T
-    return Synchronisation(found, step, wrong, drive, before, after, error, rest, tuple(events))
+    return Synchronisation(shown, step, wrong, drive, before, after, error, rest, tuple(events))
 
 
 def _neighbours(one_light: Array, strength: Array, seen: NDArray[np.bool_]) -> Array:
@@ -172,9 +172,9 @@ def _leak(
     return percent.get(step - 1, np.nan), percent.get(step + 1, np.nan), worst, 100 * float(rest)
 
 
-def align(found: Sequence[str], declared: Sequence[str]) -> tuple[NDArray[np.int64], list[Event]]:
-    """Step of each picture and what is out of order, by the cheapest edit of `declared` into `found`."""
-    n, m = len(found), len(declared)
+def align(shown: Sequence[str], declared: Sequence[str]) -> tuple[NDArray[np.int64], list[Event]]:
+    """Step of each picture and what is out of order, by the cheapest edit of `declared` into `shown`."""
+    n, m = len(shown), len(declared)
     cost = np.full((n + 1, m + 1), np.inf)
     back: dict[tuple[int, int], str] = {}
     cost[0, 0] = 0
@@ -182,13 +182,13 @@ def align(found: Sequence[str], declared: Sequence[str]) -> tuple[NDArray[np.int
         for j in range(m + 1):
             options = []
             if i and j:
-                same = found[i - 1] == declared[j - 1]
+                same = shown[i - 1] == declared[j - 1]
                 options.append((cost[i - 1, j - 1] + (0 if same else _WRONG), "same" if same else "wrong"))
             if (
                 i > 1
                 and j > 1
-                and tuple(found[i - 2 : i]) == (declared[j - 1], declared[j - 2])
-                and found[i - 2] != found[i - 1]
+                and tuple(shown[i - 2 : i]) == (declared[j - 1], declared[j - 2])
+                and shown[i - 2] != shown[i - 1]
             ):
                 options.append((cost[i - 2, j - 2] + _SWAP, "swap"))
             if i:
@@ -210,12 +210,12 @@ def align(found: Sequence[str], declared: Sequence[str]) -> tuple[NDArray[np.int
         elif move == "extra":
             i -= 1
             # of two pictures alike, either may be the one too many: name the later
-            later = i + 1 if i + 1 < n and found[i + 1] == found[i] else i
-            if later and found[later] == found[later - 1]:
+            later = i + 1 if i + 1 < n and shown[i + 1] == shown[i] else i
+            if later and shown[later] == shown[later - 1]:
                 step[i] = _AS_NEIGHBOUR
-                events.append(Event("repeated", (later,), f"frame {later} ({found[later]}) repeats the one before"))
+                events.append(Event("repeated", (later,), f"frame {later} ({shown[later]}) repeats the one before"))
             else:
-                events.append(Event("extra", (i,), f"frame {i} ({found[i]}) has no step"))
+                events.append(Event("extra", (i,), f"frame {i} ({shown[i]}) has no step"))
         elif move == "drop":
             j -= 1
             where = f"before frame {i}" if i < n else "at the end"
@@ -227,13 +227,13 @@ def align(found: Sequence[str], declared: Sequence[str]) -> tuple[NDArray[np.int
             else:
                 step[i] = j
     for i in (k for k in range(n) if step[k] == _AS_NEIGHBOUR):
-        step[i] = step[i + 1] if i + 1 < n and found[i + 1] == found[i] else step[i - 1]
+        step[i] = step[i + 1] if i + 1 < n and shown[i + 1] == shown[i] else step[i - 1]
     odd.reverse()
     while odd:
         i, j = odd.pop(0)
-        partner = next((p for p in odd if found[i] == declared[p[1]] and found[p[0]] == declared[j]), None)
+        partner = next((p for p in odd if shown[i] == declared[p[1]] and shown[p[0]] == declared[j]), None)
         if partner is None:
-            events.append(Event("wrong", (i,), f"frame {i} shows {found[i]} where {declared[j]} was meant"))
+            events.append(Event("wrong", (i,), f"frame {i} shows {shown[i]} where {declared[j]} was meant"))
         else:
             odd.remove(partner)
             step[i], step[partner[0]] = partner[1], j

@@ -53,7 +53,7 @@ def synchronisation(
     patterns[dark] = np.zeros(numbers.size)
     judged = check(sums, single, declared, patterns, variance=variance(sums, **aperture._asdict()))
     return {
-        "found": np.array([TEST_PATTERNS.index(name) for name in judged.found]),
+        "found": np.array([TEST_PATTERNS.index(name) for name in judged.shown]),
         "declared": np.array([TEST_PATTERNS.index(name) for name in declared]),
         "step": judged.step,
         "wrong": judged.wrong,

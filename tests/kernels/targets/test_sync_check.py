@@ -35,7 +35,7 @@ def test_as_it_was_meant() -> None:
     sums = played(SEQUENCE)
     sums.flags.writeable = False
     found = check(sums, crossed(), SEQUENCE, PATTERNS)
-    assert list(found.found) == SEQUENCE
+    assert list(found.shown) == SEQUENCE
     np.testing.assert_array_equal(found.step, np.arange(12))
     assert not found.wrong.any()
     assert found.events == ()
@@ -75,7 +75,7 @@ def test_a_picture_without_light_is_dark() -> None:
     sums = played(SEQUENCE)
     sums[5] = 0.1
     found = check(sums, crossed(), SEQUENCE, PATTERNS)
-    assert found.found[5] == "O"
+    assert found.shown[5] == "O"
     assert found.wrong[5]
     assert [event.kind for event in found.events] == ["wrong"]
     assert "frame 5 shows O where T1 was meant" in found.events[0].says
