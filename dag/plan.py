@@ -283,7 +283,6 @@ def _plan_node(
     units = _inherited(stage.units, [upper.units for upper in above])
     places = _inherited(stage.places, [upper.places for upper in above])
     contexts: dict[str, Mapping[str, Any]] = {}
-    before, before_digest = None, ""
     blocks = []
     upper_named = {upper.node.name: upper for upper in above}
     ranges = [range(grid.sizes[dim]) for dim in block_dims]
@@ -294,10 +293,8 @@ def _plan_node(
         digest = ""
         if stage.context is not None:
             context = stage.context(block_labels, facts, items, node.params)
-            if context != before:  # most blocks of a node have the context of the block before
-                before, before_digest = context, digest_value(plain_context(context))
-                contexts.setdefault(before_digest, context)
-            digest = before_digest
+            digest = digest_value(plain_context(context))
+            contexts.setdefault(digest, context)
         reads = _reads(node, above, grid, block_dims, index, group, arrangement)
         frames = frozenset(
             itertools.chain.from_iterable(

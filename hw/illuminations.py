@@ -9,7 +9,7 @@ O           all lights off
 """
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 
 CONSTANT, DARK = "C", "O"
 AXES = ("X", "Y", "Z")
@@ -73,3 +73,9 @@ def is_test(name: str) -> bool:
 def test_number(name: str) -> int:
     """T2 -> 2: what is left of the numbers of its lights when they are divided by TEST_PATTERNS."""
     return int(name[1:])
+
+
+def relative_exposures(exposure_s: Sequence[float]) -> list[float]:
+    """Exposures in units of the one that most pictures have; of several that are as frequent, the longest."""
+    usual = max(sorted(set(exposure_s), reverse=True), key=exposure_s.count)
+    return [exposure / usual for exposure in exposure_s]

@@ -2,9 +2,11 @@
 
     radiance = signal / (exposure x transmission x source x intensity)
 
-A static capture becomes (illumination, band, component, y, x); an illumination that was captured several
-times is averaged. A performance (one with a frame rate) keeps its frames. Without a `bands` item the scale is
-1 and the result says that it is in counts.
+A static capture becomes (illumination, band, component, y, x); an illumination that was captured several times is
+averaged, weighted by its exposures: under shot noise the inverse of a picture's variance is its exposure.
+Exposures that frames name count in units of the one that most have, which the `bands` item holds for. A
+performance (one with a frame rate) keeps its frames. Without a `bands` item the scale is 1 and the result says
+that it is in counts.
 
 Must have run before: split. Source: Dutta (2010) 3.3.
 """
@@ -13,6 +15,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from lightstage.dag.stage import Arrangement, Grid, Group, Input, Items, Needs, Output, Params, Stage, StageError
+from lightstage.hw.illuminations import relative_exposures
 from lightstage.kernels.encodings import RADIANCE_BITS
 
 
@@ -35,7 +38,21 @@ def _context(
     intensity = facts["intensities"].get(labels["illumination"])
     if intensity is not None:
         scale *= intensity[facts["bands_nm"].index(band)]
-    return {"counts_per_radiance": scale}
+    return {"counts_per_radiance": scale, "exposure": _exposures(facts, labels["members"])}
+
+
+def _exposures(facts: Mapping[str, Any], members: Sequence[int]) -> list[float] | None:
+    """Of each picture, in units of the exposure that most have; None where frames name none, or all the same."""
+    named = facts.get("exposure_s")
+    if named is None:
+        return None
+    silent = [i for i, exposure_s in enumerate(named) if exposure_s is None]
+    if silent:
+        raise StageError(
+            f"frame {silent[0]} names no exposure_s, and others do; name it for all frames, or for none"
+        )
+    shares = relative_exposures(named)
+    return [shares[i] for i in members] if set(shares) != {1.0} else None
 
 
 def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: StackParams) -> Arrangement:
@@ -61,7 +78,7 @@ def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: StackParam
     groups = tuple(
         Group(
             {"signal": {i: {"frame": i, "band": b} for i in members}},
-            {"illumination": illumination[members[0]], "band": band},
+            {"illumination": illumination[members[0]], "band": band, "members": members},
         )
         for members in frames
         for b, band in enumerate(bands)
@@ -88,6 +105,6 @@ STAGE = Stage(
     blocks=("illumination|frame", "band"),
     arrange=_arrange,
     context=_context,
-    prepared=("counts_per_radiance",),
+    prepared=("counts_per_radiance", "exposure"),
     kernel="lightstage.kernels.pictures.radiance:stack",
 )

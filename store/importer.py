@@ -368,6 +368,9 @@ def _verdict(session: Session, store: Store) -> Iterable[dict[str, Any]]:
     for i, illumination in enumerate(facts["illumination"]):
         frames.setdefault(illumination, []).append(i)
 
+    named = facts.get("exposure_s", [None])
+    shares = [1.0] * len(facts["illumination"]) if None in named else illuminations.relative_exposures(named)
+
     def load(frame: int, band: int, polarisation: int) -> NDArray[np.uint16]:
         ref = session.images[frame][band][polarisation]
         return store.chunks.get(ref, dtype="<u2", shape=session.shape)
@@ -385,8 +388,11 @@ def _verdict(session: Session, store: Store) -> Iterable[dict[str, Any]]:
                 opposite = illuminations.complement(illumination)
                 if illuminations.is_gradient(illumination) and opposite in frames and "C" in frames:
                     first = _nearest(indices[0], frames[opposite])
-                    constant = load(_nearest(indices[0], frames["C"]), b, p) - offset
-                    total = load(indices[0], b, p) + load(first, b, p).astype(np.float64) - 2 * offset
+                    lit = _nearest(indices[0], frames["C"])
+                    constant, one_side, other_side = (
+                        (load(i, b, p) - offset) / shares[i] for i in (lit, indices[0], first)
+                    )
+                    total = one_side + other_side
                     bright = constant > 0.1 * np.percentile(constant, 99)
                     if bright.any():
                         residual = float(np.median(np.abs(total - constant)[bright] / constant[bright]))

@@ -1,7 +1,7 @@
 """Processors that this one can be taken for: libraries pick other instructions on each, and so other last bits.
 
-`python -m tests.processors [--only SETTING] [PYTEST OPTION...]` runs the tests under each setting, or one of them, and
-says which one is running (`make test-processors`).
+`python -m tests.processors [--only SETTING] [PYTEST OPTION...]` runs the tests under each setting, or one of them,
+and says which one is running (`make test-processors`).
 """
 
 import argparse

@@ -33,7 +33,9 @@ def test_a_static_capture_is_by_illumination_in_the_order_they_came() -> None:
     assert arranged.dims == {"illumination|frame": "illumination"}
     # groups in C order: illumination, then band; pieces by frame
     assert [dict(group.labels) for group in arranged.groups] == [
-        {"illumination": name, "band": nm} for name in ("X", "C") for nm in (434.0, 576.0)
+        {"illumination": name, "band": nm, "members": members}
+        for name, members in (("X", [0, 2]), ("C", [1]))
+        for nm in (434.0, 576.0)
     ]
     assert arranged.groups[1].reads == {"signal": {0: {"frame": 0, "band": 1}, 2: {"frame": 2, "band": 1}}}
     assert arranged.groups[2].reads == {"signal": {1: {"frame": 1, "band": 0}}}
@@ -68,11 +70,33 @@ BANDS = {"bands": {"bands": [{"centre_nm": 576.0, "exposure": 10.0, "transmissio
 )
 def test_bands_and_intensities_divide_out(name: str, items: dict[str, Any], scale: float) -> None:
     assert STAGE.context is not None
-    labels = {"illumination": name, "band": 576.0}
-    assert STAGE.context(labels, FACTS, items, STAGE.params()) == {"counts_per_radiance": scale}
+    labels = {"illumination": name, "band": 576.0, "members": [3]}
+    assert STAGE.context(labels, FACTS, items, STAGE.params()) == {"counts_per_radiance": scale, "exposure": None}
+
+
+@pytest.mark.parametrize(
+    ("named", "shares"),
+    [
+        ([0.1, 0.1, 0.1], None),  # all the same: as if they had not been named
+        ([0.1, 0.4, 0.1], [1.0, 4.0]),
+        ([0.1, 0.4, 0.2], [0.25, 1.0]),  # of equally frequent ones the longest
+    ],
+)
+def test_exposures_count_in_units_of_the_usual_one(named: list[float], shares: list[float] | None) -> None:
+    assert STAGE.context is not None
+    labels = {"illumination": "C", "band": 576.0, "members": [0, 1]}
+    context = STAGE.context(labels, {**FACTS, "exposure_s": named}, {}, STAGE.params())
+    assert context["exposure"] == (None if shares is None else pytest.approx(shares))
+
+
+def test_exposures_are_named_for_all_frames_or_for_none() -> None:
+    assert STAGE.context is not None
+    labels = {"illumination": "C", "band": 576.0, "members": [0, 1]}
+    with pytest.raises(StageError, match="frame 1 names no exposure_s, and others do"):
+        STAGE.context(labels, {**FACTS, "exposure_s": [0.1, None]}, {}, STAGE.params())
 
 
 def test_a_band_that_the_item_lacks_is_named() -> None:
     assert STAGE.context is not None
     with pytest.raises(StageError, match=r"the bands item has no band at 434 nm \(it has 576\)"):
-        STAGE.context({"illumination": "C", "band": 434.0}, FACTS, BANDS, STAGE.params())
+        STAGE.context({"illumination": "C", "band": 434.0, "members": [0]}, FACTS, BANDS, STAGE.params())

@@ -25,6 +25,27 @@ def test_one_picture_is_scaled_and_several_are_averaged_where_they_are_valid() -
     np.testing.assert_array_equal(stack({3: pictures[0]}, counts_per_radiance=2.0)["radiance"][0, 0], [1, 2, NAN])
 
 
+def test_exposures_by_hand_where_one_is_clipped_the_other_counts_alone() -> None:
+    """(10 + 40) / (1 + 4) = 10 and (10 + nan) / 1; alone, 40 counts of four exposures are 10."""
+    pictures = {0: picture(10, 10, NAN), 1: picture(40, NAN, 40)}
+    out = stack(pictures, counts_per_radiance=1.0, exposure=[1.0, 4.0])["radiance"]
+    np.testing.assert_array_equal(out[0, 0], [10, 10, 10])
+    out = stack({1: pictures[1]}, counts_per_radiance=2.0, exposure=[4.0])["radiance"]
+    np.testing.assert_array_equal(out[0, 0], [5, NAN, 5])
+
+
+def test_the_mean_of_exposures_has_the_least_noise() -> None:
+    """Of sums weighted otherwise none varies less, under shot noise: 20,000 points tell a variance to 1 %."""
+    generator = np.random.default_rng(1)
+    short, long = generator.poisson(100, 20000), generator.poisson(400, 20000)
+    joined = stack({0: picture(*short), 1: picture(*long)}, counts_per_radiance=1.0, exposure=[1.0, 4.0])[
+        "radiance"
+    ]
+    for weight in (0.1, 0.5, 0.9):
+        assert joined.var() < 1.02 * (weight * short + (1 - weight) * long / 4).var()
+    assert joined.var() == pytest.approx(100 / 5, rel=0.05)
+
+
 @given(st.permutations(range(4)))
 def test_the_order_of_pictures_does_not_count(order: list[int]) -> None:
     pictures = {i: picture(i, 10 * i, NAN if i == 2 else 3) for i in range(4)}
