@@ -26,9 +26,10 @@ def group_of(session: str, node: str, store: Store, pipeline: str | Path | None 
         return store.results / session / node / folder
     from lightstage.store.sessions import read_session
 
-    read_session(session, store)  # whether it is there, and whole
+    opened = read_session(session, store)  # whether it is there, and whole
     if _nodes(pipeline).get(node, False):
         return store.sessions / session / "raw.zarr"
+    refuse_stranger(opened, node, store, pipeline)
     return current_path(session, node, store)
 
 
@@ -45,6 +46,7 @@ def open_group(session: "Session", node: str, store: Store, pipeline: str | Path
     if current(session.name, node, store) is None and _nodes(pipeline).get(node, False):
         group = raw_group(session, store)
     else:
+        refuse_stranger(session, node, store, pipeline)
         group = current_path(session.name, node, store)
     dataset: xarray.Dataset = open_dataset(group)
     return dataset
@@ -72,11 +74,11 @@ def results_of(session: str, store: Store) -> list[str]:
     return [name for name in names if current(session, name, store) is not None]
 
 
-def refuse_stranger(session: "Session", node: str, store: Store) -> None:
+def refuse_stranger(session: "Session", node: str, store: Store, pipeline: str | Path | None = None) -> None:
     """Raise RequestError where neither the session nor its pipeline knows a node of that name."""
     from lightstage.store.document import nearest
 
-    known = {*results_of(session.name, store), *_nodes(None)}
+    known = {*results_of(session.name, store), *_nodes(pipeline)}
     if node not in known:
         raise RequestError(
             f"session '{session.name}' has no result of a node '{node}'{nearest(node, sorted(known))}"

@@ -95,7 +95,12 @@ class WholeSet:
         path = self.folder / name
         if not os.path.lexists(path):
             return
-        if not path.is_file() or entry is None or entry["digest"] != digest(path):
+        if entry is None:
+            raise FormatError(
+                f"{path} is there already, and no {self.record} beside it says that it was delivered; "
+                "move it away, or choose another folder"
+            )
+        if not path.is_file() or entry["digest"] != digest(path):
             raise FormatError(
                 f"{path} is there already and is not as {self.record} describes it; "
                 "move it away, or choose another folder"

@@ -399,7 +399,9 @@ _GROUP = re.compile(rf"[0-9a-f]{{{SHORT}}}-[0-9a-f]{{{SHORT}}}")
 _CHUNK = re.compile(r"/c(\.[0-9]+)*$")
 _RAW = rf"\.raw-[0-9a-f]{{{SHORT}}}"
 _OURS = {
-    "sessions": re.compile(rf"[^/]+/(session\.json|\.lock|raw\.zarr(/.*)?|raw\.json|{_RAW}\.json|{_RAW}\.zarr/.*)"),
+    "sessions": re.compile(
+        rf"[^/]+/(session\.json|\.lock|raw\.zarr(/.*)?|raw\.json|{_RAW}\.json|{_RAW}\.zarr/.*|truth/.*)"
+    ),
     "results": re.compile(rf"[^/]+/[^/]+/(current|{_GROUP.pattern}(\.json|/.*))"),
     "calibration": re.compile(r"[^/]+/item\.(json|yaml)"),
     "cache": re.compile(r"blobs/[0-9a-f]{2}/[0-9a-f]{32}|(blocks|nodes|runs)/[0-9a-f]{2}/[0-9a-f]{32}\.json"),

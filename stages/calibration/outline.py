@@ -65,7 +65,7 @@ def picked(text: str) -> list[list[float]] | None:
 
 def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: OutlineParams) -> Arrangement:
     (raw,) = grids
-    need_target(facts, "mirror_ball", "measuring lights")
+    need_target(facts, "mirror_ball", "finding the ball")
     camera = reference(raw)
     part = parts(facts, raw.sizes["frame"])
     places = sorted(set(part))
