@@ -72,14 +72,14 @@ def exported(folder: Path, session: str, node: str, names: Iterable[str]) -> Ite
     """
     from lightstage.formats.whole_set import WholeSet
 
-    of = {"session": session, "node": node}
-    delivery = WholeSet(folder, EXPORT_RECORD, of=of)
+    subject = {"session": session, "node": node}
+    delivery = WholeSet(folder, EXPORT_RECORD, subject=subject)
     with refusals():
         delivery.claim(names)
         with delivery.making() as work:
             export = Export(work, folder)
             yield export
-            delivery.settle(work, {"format": EXPORT_FORMAT}, dict.fromkeys(export.names, of))
+            delivery.settle(work, {"format": EXPORT_FORMAT}, dict.fromkeys(export.names, subject))
 
 
 def export_planes(

@@ -151,10 +151,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         return _failed(_as_sentence(error), 1, screen, words)
     except MemoryError as error:
-        told = RequestError(
+        lacking = WorkError(
             f"there is not enough memory for this ({error or 'none left'}); what was finished is kept"
         )
-        return _failed(told, 1, screen, words)
+        return _failed(lacking, 1, screen, words)
     except Exception as error:
         if "--debug" in words:
             raise

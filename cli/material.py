@@ -44,7 +44,7 @@ def handle_material(options: argparse.Namespace, screen: Screen) -> int:
     store = open_store(options.store)
     session = session_given(options.session, store, screen)
     nodes = material_nodes(session.read())
-    delivery = WholeSet(options.to, names.MATERIAL_RECORD, of={"session": session.name})
+    delivery = WholeSet(options.to, names.MATERIAL_RECORD, subject={"session": session.name})
     with refusals():
         delivery.claim(names.material(formats, glossy="gloss" in nodes))
     request = request_of(options, session.name, nodes)

@@ -85,7 +85,7 @@ def handle_relight(options: argparse.Namespace, screen: Screen) -> int:
     nodes = material_nodes(session.read())
     request = request_of(options, session.name, nodes)
     setups = [*together, *own_lights(options.led, request, store.opened)]
-    delivery = WholeSet(options.to, names.RELIGHT_RECORD, of={"session": session.name})
+    delivery = WholeSet(options.to, names.RELIGHT_RECORD, subject={"session": session.name})
     with refusals():
         delivery.claim(names.relit([setup.name for setup in setups], turns=bool(options.turn)))
     answer = answered(store, request, options, screen)
