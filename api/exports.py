@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     import xarray
 
     from lightstage.kernels.surface.pinhole import Pinhole
-    from lightstage.products.film import Film, Series
+    from lightstage.products.film import Film as Film
+    from lightstage.products.film import Series
     from lightstage.products.mesh import Beside
     from lightstage.store.sessions import Session
 

@@ -4,12 +4,12 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from lightstage.api.errors import RequestError
 from lightstage.api.pipelines import MEASURED
 from lightstage.api.stores import open_store
 from lightstage.cli.run import plain_nodes, say_nodes
 from lightstage.cli.sessions import say_imported
 from lightstage.cli.show import RunWatcher, Screen
-from lightstage.store.errors import RequestError
 
 
 def configure(commands: Any) -> None:

@@ -4,10 +4,10 @@ import argparse
 import re
 from typing import Any
 
+from lightstage.api.errors import DamagedChunkError, DamagedGroupError, RequestError, WorkError
 from lightstage.api.stores import FORMAT, open_store, upgrade
 from lightstage.cli.show import Screen
 from lightstage.sizes import human_size
-from lightstage.store.errors import DamagedChunkError, DamagedGroupError, RequestError, WorkError
 
 _GRACE = re.compile(r"([0-9]{1,6})([smhd]?)")
 _SECONDS = {"s": 1, "m": 60, "h": 3600, "d": 86400, "": 1}

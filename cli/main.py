@@ -15,15 +15,15 @@ from importlib import import_module
 from typing import Any, NoReturn
 
 from lightstage import __version__
-from lightstage.cli.show import Screen, written
-from lightstage.compiled import folder, offer
-from lightstage.store.errors import (
+from lightstage.api.errors import (
     DamagedChunkError,
     DamagedGroupError,
     LightstageError,
     RequestError,
     WorkError,
 )
+from lightstage.cli.show import Screen, written
+from lightstage.compiled import folder, offer
 
 # pydantic looks through all that is installed for plugins of its own, an eighth of a short command's time
 os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")

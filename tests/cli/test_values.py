@@ -1,10 +1,11 @@
-"""Numbers given as options."""
+"""Numbers and places given as options."""
 
 import argparse
 
 import pytest
 
-from lightstage.cli.values import number, whole
+from lightstage.cli.values import number, pixel, whole
+from lightstage.store.errors import RequestError
 
 
 def test_numbers_are_read() -> None:
@@ -30,3 +31,10 @@ def test_what_is_absurdly_large_is_refused(read: type) -> None:
     for text in ("1" + 40 * "0", "-1" + 40 * "0"):
         with pytest.raises(argparse.ArgumentTypeError, match=r"is larger than .*, which is the most"):
             read(text)
+
+
+def test_a_pixel_is_a_pair_of_whole_numbers() -> None:
+    assert (pixel("3,4"), pixel("-1, 0")) == ((3, 4), (-1, 0))
+    for text in ("", "3", "3,4,5", "a,b", "1.5,2"):
+        with pytest.raises(RequestError, match=f"--at {text}: expected X,Y in whole pixels"):
+            pixel(text)
