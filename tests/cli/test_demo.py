@@ -20,6 +20,7 @@ def test_the_demo_runs_and_keeps_its_truth(lightstage: Lightstage, tmp_path: Pat
     assert sorted(p.name for p in (tmp_path / "store" / "captures").iterdir()) == before
 
 
+@pytest.mark.slow
 def test_a_performance_runs_and_motion_spoils_normals_that_are_not_aligned(lightstage: Lightstage) -> None:
     """The same head, cycle and noise; what the motion adds is that the four gradients of a set show four poses."""
     errors = {}
@@ -41,6 +42,7 @@ def test_a_performance_runs_and_motion_spoils_normals_that_are_not_aligned(light
     assert errors["fast"] > errors["still"] + 1
 
 
+@pytest.mark.slow
 def test_another_capture_takes_the_truth_of_the_one_before_away(lightstage: Lightstage) -> None:
     small = ("demo", "--size", "64x48", "--session", "d", "--json")
     made = lightstage(*small, "--bands", "576")

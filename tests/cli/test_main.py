@@ -133,6 +133,7 @@ def test_a_store_must_be_a_folder_of_its_own(lightstage: Lightstage, sphere: Pat
     assert "made by a newer lightstage (format 9); this program reads 2" in lightstage("status", store=new).err
 
 
+@pytest.mark.slow
 def test_a_full_disk_is_a_sentence_and_nothing_is_lost(tmp_path: Path, sphere: Path) -> None:
     """The disk says "no space left" when it is asked to flush for the sixth time; all else is the real code."""
     store = tmp_path / "store"

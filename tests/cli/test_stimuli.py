@@ -22,6 +22,8 @@ from lightstage.products.stimulus_folder import COLUMNS
 from tests.conftest import Answer
 from tests.readers import chunks
 
+pytestmark = pytest.mark.slow
+
 Lightstage = Callable[..., Answer]
 SUBJECTS = ("one", "two")
 QUICK = ("--set", "relief.correct=lights")
