@@ -5,7 +5,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 RUN    := $(BIN)/lightstage $(if $(STORE),--store "$(STORE)")
 
-.PHONY: help setup normals performance skin shape stimuli material test test-processors chaos lint format bench docs golden clean
+.PHONY: help setup normals performance skin shape stimuli material test quick test-processors chaos lint format bench docs golden clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 18
@@ -46,6 +46,9 @@ material: $(VENV)/.user  ## base colour, gloss and normals for renderers: SESSIO
 
 test: $(VENV)/.developer  ## all tests
 	@$(BIN)/python -m pytest $(if $(TESTS),$(TESTS),-n 2)
+
+quick: $(VENV)/.developer  ## the tests that take no minute: without ../shared/data, and without those marked slow
+	@$(BIN)/python -m pytest -n 2 -m "not slow and not data" $(TESTS)
 
 test-processors: $(VENV)/.developer  ## all tests, as on processors with fewer instructions (half an hour)
 	@$(BIN)/python -m tests.processors $(TESTS)

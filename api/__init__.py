@@ -10,7 +10,11 @@
     calibration.py    measuring an item from pictures of a target
     exports.py        results as files of other programs
     pictures.py       pictures that the store keeps beside its results
+    pages.py          pages that show a session, beside them or where a user wants them
     subjects.py       results read for the products that are made of them
+    deliveries.py     materials and relit pictures, into a folder of the user's
+    stimulus_sets.py  matched sets of faces; face_points.py reads where their eyes are
+    errors.py         what can fail, and the exit codes
     refusals.py       what products, formats and kernels refuse, as a wrong request
     sequences.py      capture sequences: planned, judged, written
     virtual_rig.py    captures of heads and targets that never were

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     import xarray
 
     from lightstage.kernels.surface.pinhole import Pinhole
-    from lightstage.products.film import Film, Series
+    from lightstage.products.film import Film as Film
+    from lightstage.products.film import Series
     from lightstage.products.mesh import Beside
     from lightstage.store.sessions import Session
 
@@ -72,14 +73,14 @@ def exported(folder: Path, session: str, node: str, names: Iterable[str]) -> Ite
     """
     from lightstage.formats.whole_set import WholeSet
 
-    of = {"session": session, "node": node}
-    delivery = WholeSet(folder, EXPORT_RECORD, of=of)
+    subject = {"session": session, "node": node}
+    delivery = WholeSet(folder, EXPORT_RECORD, subject=subject)
     with refusals():
         delivery.claim(names)
         with delivery.making() as work:
             export = Export(work, folder)
             yield export
-            delivery.settle(work, {"format": EXPORT_FORMAT}, dict.fromkeys(export.names, of))
+            delivery.settle(work, {"format": EXPORT_FORMAT}, dict.fromkeys(export.names, subject))
 
 
 def export_planes(

@@ -68,14 +68,14 @@ def bind(session: Session, item: str | Path, store: Store) -> Bound:
     """
     path = Path(os.path.expanduser(item))
     if path.is_file():
-        found, original = read_item(path, store.chunks)
-        put_item(found, original, store)
+        new, original = read_item(path, store.chunks)
+        put_item(new, original, store)
     elif path.suffix in (".yaml", ".yml"):
         raise RequestError(f"{path} is missing: expected a calibration item")
     else:
-        found = find_item(str(item), store)
-    before = bind_item(session.name, found, store)
-    return Bound(found.name, found.kind, before, before != found.digest)
+        new = find_item(str(item), store)
+    before = bind_item(session.name, new, store)
+    return Bound(new.name, new.kind, before, before != new.digest)
 
 
 def item_values(request: Request, store: Store) -> dict[str, Mapping[str, Any]]:

@@ -8,7 +8,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from lightstage.formats.whole_file import write_whole
+from lightstage.api.refusals import refusals
+from lightstage.formats.whole_file import write_new
 from lightstage.hw import pacing, planning, sequence
 from lightstage.hw.errors import RigError
 from lightstage.hw.pacing import Flicker as Flicker
@@ -136,13 +137,8 @@ def write_plan(path: Path, planned: Plan, accepted: str | None) -> None:
     Raises:
         RequestError: another file is there.
     """
-    text = _plan_text(planned, accepted).encode()
-    if path.exists():
-        if path.is_file() and path.read_bytes() == text:
-            return
-        raise RequestError(f"{path} is there already and holds something else; remove it, or name another file")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, text)
+    with refusals():
+        write_new(path, _plan_text(planned, accepted).encode())
 
 
 def _plan_text(planned: Plan, accepted: str | None) -> str:

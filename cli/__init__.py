@@ -2,7 +2,7 @@
 
     main.py       the table of commands, the errors and the exit codes
     show.py       what a person sees: tables, progress, warnings
-    values.py     numbers given as options
+    values.py     numbers and places given as options
 
     sessions.py   import, sessions, calibration
     run.py        run, normals, performance
@@ -16,7 +16,7 @@
     export.py     export: pictures, films, meshes
     skin.py       skin: pigment maps and spectra
     shape.py      shape: from a capture to a mesh
-    stimuli.py    stimuli: matched sets, with stimulus_options.py and face_points.py
+    stimuli.py    stimuli: matched sets, with stimulus_options.py
     material.py   material: maps and a mesh for renderers
     relight.py    relight: the subject under other lights
 

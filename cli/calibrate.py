@@ -4,12 +4,12 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from lightstage.api.errors import RequestError
 from lightstage.api.pipelines import MEASURED
 from lightstage.api.stores import open_store
 from lightstage.cli.run import plain_nodes, say_nodes
 from lightstage.cli.sessions import say_imported
 from lightstage.cli.show import RunWatcher, Screen
-from lightstage.store.errors import RequestError
 
 
 def configure(commands: Any) -> None:
@@ -52,7 +52,7 @@ def handle_calibrate(options: argparse.Namespace, screen: Screen) -> int:
             raise RequestError(f"--driven-from is for `calibrate lights`; {options.item} has no weights")
         changes.append(f"lights.driven_from={options.driven_from}")
     with RunWatcher(screen) as watcher:
-        found = measure(
+        measurement = measure(
             open_store(options.store),
             options.item,
             options.folders,
@@ -65,29 +65,29 @@ def handle_calibrate(options: argparse.Namespace, screen: Screen) -> int:
             importing=screen.progress,
             progress=watcher,
         )
-    say_nodes(found.answer, screen)
-    if found.item is not None:
-        screen.say(f"{found.item}: `lightstage calibration use {found.item} --session S` binds it")
-    if found.written is not None:
-        screen.say(f"item: {found.written}")
-    if found.item is None and options.out is not None:
+    say_nodes(measurement.answer, screen)
+    if measurement.item is not None:
+        screen.say(f"{measurement.item}: `lightstage calibration use {measurement.item} --session S` binds it")
+    if measurement.written is not None:
+        screen.say(f"item: {measurement.written}")
+    if measurement.item is None and options.out is not None:
         screen.warn(f"{options.item} is a check, not an item: nothing to write to {options.out}; try --report")
-    for finding in found.verdict:
+    for finding in measurement.verdict:
         screen.say(finding.sentence)
     report = None
     if options.report is not None:
-        report = found.report(
-            options.report if options.report.name else f"{found.session.name}-{options.item}.html"
+        report = measurement.report(
+            options.report if options.report.name else f"{measurement.session.name}-{options.item}.html"
         )
         screen.say(f"report: {report}")
     screen.document(
         {
-            "session": found.session.name,
-            "item": found.item,
-            "nodes": plain_nodes(found.answer),
-            "verdict": [finding.sentence for finding in found.verdict],
-            "severities": [finding.severity for finding in found.verdict],
-            "out": None if found.written is None else str(found.written),
+            "session": measurement.session.name,
+            "item": measurement.item,
+            "nodes": plain_nodes(measurement.answer),
+            "verdict": [finding.sentence for finding in measurement.verdict],
+            "severities": [finding.severity for finding in measurement.verdict],
+            "out": None if measurement.written is None else str(measurement.written),
             "report": None if report is None else str(report),
         }
     )

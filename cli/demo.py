@@ -4,6 +4,7 @@ import argparse
 import re
 from typing import Any
 
+from lightstage.api.errors import RequestError
 from lightstage.api.stores import OpenSession, OpenStore, open_store
 from lightstage.api.virtual_rig import (
     BANDS_NM,
@@ -18,7 +19,6 @@ from lightstage.api.virtual_rig import (
 )
 from lightstage.cli.show import Screen
 from lightstage.cli.values import whole
-from lightstage.store.errors import RequestError
 
 _SIZE = "x".join(map(str, SIZE))
 _BANDS, _BROADBAND = (",".join(map(str, bands)) for bands in (BANDS_NM, BROADBAND_NM))

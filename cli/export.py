@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lightstage.api.errors import RequestError
 from lightstage.api.stores import OpenSession, open_store
 from lightstage.cli.show import Screen
 from lightstage.cli.values import number, whole
 from lightstage.products import choices
-from lightstage.store.errors import RequestError
 
 if TYPE_CHECKING:
-    from lightstage.products.film import Film
+    from lightstage.api.exports import Film
 
 
 def configure(commands: Any) -> None:

@@ -4,10 +4,10 @@ import argparse
 import re
 from typing import Any
 
+from lightstage.api.errors import DamagedChunkError, DamagedGroupError, RequestError, WorkError
 from lightstage.api.stores import FORMAT, open_store, upgrade
 from lightstage.cli.show import Screen
 from lightstage.sizes import human_size
-from lightstage.store.errors import DamagedChunkError, DamagedGroupError, RequestError, WorkError
 
 _GRACE = re.compile(r"([0-9]{1,6})([smhd]?)")
 _SECONDS = {"s": 1, "m": 60, "h": 3600, "d": 86400, "": 1}
@@ -61,12 +61,12 @@ def set_aside(damage: DamagedChunkError | DamagedGroupError, options: argparse.N
     """
     screen.warn(f"{damage}; looking through the store")
     try:
-        found = open_store(options.store).verify().damaged
+        damages = open_store(options.store).verify().damaged
     except WorkError as error:
         raise WorkError(f"{damage}, and cannot be mended: {error}") from None
-    for one in found:
-        screen.warn(f"{one.path} was damaged: {one.belongs_to}; {one.remedy}")
-    lasting = [one for one in found if not one.recomputable]
+    for item in damages:
+        screen.warn(f"{item.path} was damaged: {item.belongs_to}; {item.remedy}")
+    lasting = [item for item in damages if not item.recomputable]
     if isinstance(damage, DamagedChunkError) or damage.group.suffix == ".zarr":  # not made by a stage
         if lasting:
             raise WorkError(f"{damage}; {lasting[0].remedy}")

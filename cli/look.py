@@ -4,11 +4,11 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from lightstage.api.errors import RequestError
 from lightstage.api.stores import open_store
 from lightstage.cli.run import add_run_options, add_session_options, request_of
 from lightstage.cli.show import Screen
 from lightstage.sizes import human_size
-from lightstage.store.errors import RequestError
 
 
 def configure(commands: Any) -> None:

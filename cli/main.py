@@ -16,15 +16,15 @@ from importlib import import_module
 from typing import Any, NoReturn
 
 from lightstage import __version__
-from lightstage.cli.show import Screen, written
-from lightstage.compiled import folder, offer
-from lightstage.store.errors import (
+from lightstage.api.errors import (
     DamagedChunkError,
     DamagedGroupError,
     LightstageError,
     RequestError,
     WorkError,
 )
+from lightstage.cli.show import Screen, written
+from lightstage.compiled import folder, offer
 
 # a command makes the functions of a hundred modules; looking through them for circles took a tenth of its time
 gc.set_threshold(20_000)
@@ -154,10 +154,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         return _failed(_as_sentence(error), 1, screen, words)
     except MemoryError as error:
-        told = RequestError(
+        lacking = WorkError(
             f"there is not enough memory for this ({error or 'none left'}); what was finished is kept"
         )
-        return _failed(told, 1, screen, words)
+        return _failed(lacking, 1, screen, words)
     except Exception as error:
         if "--debug" in words:
             raise

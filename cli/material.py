@@ -2,18 +2,14 @@
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from lightstage.api.refusals import refusals
+from lightstage.api.errors import RequestError
 from lightstage.api.stores import open_store
 from lightstage.cli.run import add_run_options, answered, request_of, say_answer, session_given
 from lightstage.cli.show import Screen
 from lightstage.cli.values import whole
-from lightstage.products import choices, names
-from lightstage.store.errors import RequestError
-
-if TYPE_CHECKING:
-    pass
+from lightstage.products import choices
 
 
 def configure(commands: Any) -> None:
@@ -33,9 +29,7 @@ def configure(commands: Any) -> None:
 
 def handle_material(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage material."""
-    from lightstage.api.subjects import material_nodes, material_of
-    from lightstage.formats.whole_set import WholeSet
-    from lightstage.products.material import document, write_material
+    from lightstage.api.deliveries import MaterialDelivery
 
     formats = options.format.split(",")
     wrong = [form for form in formats if form not in choices.MATERIAL_FORMATS]
@@ -43,28 +37,25 @@ def handle_material(options: argparse.Namespace, screen: Screen) -> int:
         raise RequestError(f"--format {options.format}: '{wrong[0]}' is not known; expected exr, glb or exr,glb")
     store = open_store(options.store)
     session = session_given(options.session, store, screen)
-    nodes = material_nodes(session.read())
-    delivery = WholeSet(options.to, names.MATERIAL_RECORD, of={"session": session.name})
-    with refusals():
-        delivery.claim(names.material(formats, glossy="gloss" in nodes))
-    request = request_of(options, session.name, nodes)
+    delivery = MaterialDelivery(session.read(), store.opened, options.to, formats)
+    request = request_of(options, session.name, delivery.nodes)
     answer = answered(store, request, options, screen)
     summary = say_answer(answer, screen)
-    material = material_of(answer, request, session.read(), store.opened, tracking=options.tracking)
-    with refusals(), delivery.making() as work:
-        files = write_material(work, material, formats)
-        entries = {name: {**entry, "results": dict(material.recipes)} for name, entry in files.items()}
-        made = [*delivery.settle(work, document(material), entries), options.to / names.MATERIAL_RECORD]
-    if material.gloss is None:
+    delivered = delivery.deliver(request, answer, tracking=options.tracking)
+    if not delivered.glossy:
         screen.warn("the capture lacks one of the polarisations, so there are no specular maps and no roughness")
-    if not material.absolute:
+    if not delivered.absolute:
         screen.warn(
             "the scale is relative, because a lights or bands item is missing or the parallel camera alone: 1 in "
             "the base colour is the brightest point"
         )
-    screen.table(("file", "what"), [(name, entry["what"]) for name, entry in files.items()])
-    screen.say(f"{len(made)} files in {options.to}; {names.MATERIAL_RECORD} says what each is")
+    screen.table(("file", "what"), [(name, entry["what"]) for name, entry in delivered.entries.items()])
+    screen.say(f"{len(delivered.files)} files in {options.to}; {delivered.files[-1].name} says what each is")
     screen.document(
-        {**summary, "files": [str(file) for file in made], "material": {**document(material), "files": files}}
+        {
+            **summary,
+            "files": [str(file) for file in delivered.files],
+            "material": {**delivered.document, "files": delivered.entries},
+        }
     )
     return 0

@@ -7,19 +7,14 @@ that name where the lights item has it.
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from lightstage.api.refusals import refusals
+from lightstage.api.errors import RequestError
 from lightstage.api.stores import open_store
 from lightstage.cli.run import add_run_options, answered, request_of, say_answer, session_given
 from lightstage.cli.show import Screen
 from lightstage.cli.values import number, whole
 from lightstage.products import choices, names
-from lightstage.store.errors import RequestError
-
-if TYPE_CHECKING:
-    from lightstage.products.light_setups import Distant, Setup
-    from lightstage.products.relit import Row
 
 
 def configure(commands: Any) -> None:
@@ -74,50 +69,45 @@ def configure(commands: Any) -> None:
 
 def handle_relight(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage relight."""
-    from lightstage.api.subjects import material_nodes, material_of, opened, own_lights
-    from lightstage.formats.whole_set import WholeSet
-    from lightstage.products import relit
+    from lightstage.api.deliveries import RelightDelivery, one_setup
+    from lightstage.api.subjects import material_nodes
 
     _check(options)
-    together = _together(options)
+    together = one_setup(
+        [_distant(text) for text in options.light],
+        options.environment,
+        count=options.samples,
+        rotate_deg=options.rotate,
+    )
     store = open_store(options.store)
     session = session_given(options.session, store, screen)
-    nodes = material_nodes(session.read())
-    request = request_of(options, session.name, nodes)
-    setups = [*together, *own_lights(options.led, request, store.opened)]
-    delivery = WholeSet(options.to, names.RELIGHT_RECORD, of={"session": session.name})
-    with refusals():
-        delivery.claim(names.relit([setup.name for setup in setups], turns=bool(options.turn)))
+    request = request_of(options, session.name, material_nodes(session.read()))
+    delivery = RelightDelivery(
+        session.read(), store.opened, options.to, request, together, leds=options.led, turns=options.turn
+    )
     answer = answered(store, request, options, screen)
     summary = say_answer(answer, screen)
-    stack = opened(answer, ("stack",))["stack"]
-    material = material_of(answer, request, session.read(), store.opened, tracking=options.tracking)
-    with refusals(), delivery.making() as work:
-        surface = relit.surface_of(material)
-        taken = relit.own_pictures(material, setups, stack) if options.led else {}
-        files, rows = relit.write_pictures(
-            work, material, surface, setups, options.exposure, taken, progress=screen.progress
-        )
-        if options.turn:
-            files |= relit.write_turn(
-                work, material, surface, setups[0], rows[0].exposure, options.turn, progress=screen.progress
-            )
-        files |= relit.write_table(work, rows)
-        files |= relit.write_sheet(work, rows)
-        document = relit.document(material)
-        entries = {name: {**entry, "results": document["results"]} for name, entry in files.items()}
-        made = [*delivery.settle(work, document, entries), options.to / names.RELIGHT_RECORD]
-    _say_rows(rows, screen)
-    if material.gloss is None:
+    delivered = delivery.deliver(
+        answer, exposure=options.exposure, tracking=options.tracking, progress=screen.progress
+    )
+    _say_rows(delivered.rows, screen)
+    if not delivered.glossy:
         screen.warn("the capture lacks one of the polarisations, so the pictures have no gloss")
-    screen.say(f"{len(made)} files in {options.to}; {options.to / names.RELIGHT_SHEET} shows the pictures")
+    screen.say(
+        f"{len(delivered.files)} files in {options.to}; {options.to / names.RELIGHT_SHEET} shows the pictures"
+    )
     screen.document(
-        {**summary, "files": [str(file) for file in made], "pictures": [row._asdict() for row in rows], **document}
+        {
+            **summary,
+            "files": [str(file) for file in delivered.files],
+            "pictures": [row._asdict() for row in delivered.rows],
+            **delivered.document,
+        }
     )
     return 0
 
 
-def _say_rows(rows: "Sequence[Row]", screen: Screen) -> None:
+def _say_rows(rows: Sequence[Any], screen: Screen) -> None:
     compared = any(row.psnr_db is not None for row in rows)
     cells = [
         [*row[:2], f"{row.exposure:.4g}", f"{row.median:.4f}", f"{row.bright:.4f}", f"{row.clipped:.2%}"]
@@ -150,9 +140,8 @@ def _check(options: argparse.Namespace) -> None:
         )
 
 
-def _distant(text: str) -> "Distant":
-    from lightstage.products.light_setups import Distant
-
+def _distant(text: str) -> tuple[float, float, float]:
+    """Azimuth and elevation in degrees, and strength."""
     try:
         azimuth, elevation, strength = (float(part) for part in text.split(","))
     except ValueError:
@@ -162,19 +151,4 @@ def _distant(text: str) -> "Distant":
             f"--light {text}: expected an azimuth of at most 360 degrees, an elevation of at most 90 and "
             f"a strength above 0 and up to {choices.STRONGEST:g}"
         )
-    return Distant(azimuth, elevation, strength)
-
-
-def _together(options: argparse.Namespace) -> "list[Setup]":
-    """The picture of all --light and the --environment, if there are any."""
-    from lightstage.api.subjects import environment
-    from lightstage.products.light_setups import environment_lamps, one_picture
-
-    lights = [_distant(text) for text in options.light]
-    if options.environment is None:
-        return one_picture(lights, None)
-    lamps = environment_lamps(
-        environment(options.environment), options.samples or choices.ENVIRONMENT_LIGHTS, options.rotate or 0.0
-    )
-    turn = f" turned by {options.rotate:g}" if options.rotate else ""
-    return one_picture(lights, lamps, options.environment.name + turn)
+    return azimuth, elevation, strength

@@ -7,12 +7,12 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from lightstage.api.errors import RequestError
 from lightstage.api.requests import Request, make_request, pipeline_path
 from lightstage.api.stores import Answer, OpenSession, OpenStore, open_store
 from lightstage.cli.show import RunWatcher, Screen
 from lightstage.cli.values import whole
 from lightstage.sizes import human_size
-from lightstage.store.errors import RequestError
 
 
 def configure(commands: Any) -> None:

@@ -6,10 +6,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lightstage.api.errors import RequestError
 from lightstage.cli.show import Screen
 from lightstage.cli.times import add_timing, timing_of
 from lightstage.cli.values import number, whole
-from lightstage.store.errors import RequestError
 
 if TYPE_CHECKING:
     from lightstage.api.sequences import Plan, TrackingFrame

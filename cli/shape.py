@@ -4,13 +4,13 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from lightstage.api.errors import RequestError
 from lightstage.api.stores import open_store
 from lightstage.cli.export import deliver_meshes
 from lightstage.cli.run import add_run_options, answered, request_of, say_answer, session_given
 from lightstage.cli.show import Screen
 from lightstage.cli.values import whole
 from lightstage.products import choices, names
-from lightstage.store.errors import RequestError
 
 NODES = ("shape", "reflectance")
 """The surface, and what it is painted with."""

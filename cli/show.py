@@ -8,7 +8,7 @@ import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
-from lightstage.store.errors import WorkError
+from lightstage.api.errors import WorkError
 
 
 class Screen:

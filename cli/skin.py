@@ -1,20 +1,14 @@
 """skin: melanin and haemoglobin of a session on one page, and the spectra of picked points."""
 
 import argparse
-from collections.abc import Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from lightstage.api.refusals import refusals
+from lightstage.api.errors import RequestError
 from lightstage.api.stores import open_store
 from lightstage.cli.run import add_run_options, answered, request_of, say_answer, session_given
 from lightstage.cli.show import Screen
-from lightstage.cli.values import whole
-from lightstage.products import choices, names
-from lightstage.store.errors import RequestError, WorkError
-
-if TYPE_CHECKING:
-    from lightstage.products.skin import Point, Skin
+from lightstage.cli.values import pixel, whole
+from lightstage.products import choices
 
 
 def configure(commands: Any) -> None:
@@ -37,10 +31,10 @@ def configure(commands: Any) -> None:
 
 def handle_skin(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage skin."""
+    from lightstage.api.pages import skin_pages, skin_spectra
     from lightstage.api.subjects import SKIN_NODES, skin_of
-    from lightstage.products.skin import PIGMENTS, spectra
 
-    points = [_point_of(text) for text in options.at]
+    points = [pixel(text) for text in options.at]
     if len(points) > choices.SKIN_POINTS:
         raise RequestError(f"--at is given {len(points)} times; at most {choices.SKIN_POINTS} spectra are drawn")
     store = open_store(options.store)
@@ -49,16 +43,15 @@ def handle_skin(options: argparse.Namespace, screen: Screen) -> int:
     answer = answered(store, request, options, screen)
     summary = say_answer(answer, screen)
     skin = skin_of(answer, request, store.opened, tracking=options.tracking)
-    with refusals("--at " if points else ""):
-        picked = spectra(skin, points)
-    files = _write(store.root / "pictures", skin, picked)
+    picked = skin_spectra(skin, points)
+    files = skin_pages(skin, picked, store.opened)
     screen.table(
         ("point", "x, y", "melanin", "haemoglobin", "baseline", "residual", "angle to skin"),
         [
             (
                 point.name,
                 "" if point.at is None else f"{point.at[0]}, {point.at[1]}",
-                *(f"{point.pigments[name]:.3f}" for name in PIGMENTS),
+                *(f"{value:.3f}" for value in point.pigments.values()),
                 f"{point.angle_deg:.1f}°",
             )
             for point in picked
@@ -87,28 +80,3 @@ def handle_skin(options: argparse.Namespace, screen: Screen) -> int:
         }
     )
     return 0
-
-
-def _write(folder: Path, skin: "Skin", points: "Sequence[Point]") -> dict[str, Path]:
-    """The pages and the table; returns what is where."""
-    from lightstage.formats.whole_file import write_whole
-    from lightstage.products.skin import table
-    from lightstage.products.skin_pages import maps_page, spectra_page
-
-    files = {what: folder / name for what, name in names.skin(skin.session).items()}
-    try:
-        folder.mkdir(exist_ok=True)
-        write_whole(files["picture"], maps_page(skin, points))
-        write_whole(files["spectra"], spectra_page(skin, points))
-        write_whole(files["table"], table(skin, points))
-    except OSError as error:
-        raise WorkError(f"{folder} cannot be written ({error.strerror or error})") from None
-    return files
-
-
-def _point_of(text: str) -> tuple[int, int]:
-    try:
-        x, y = (int(part) for part in text.split(","))
-    except ValueError:
-        raise RequestError(f"--at {text}: expected X,Y in whole pixels, such as 120,200") from None
-    return x, y

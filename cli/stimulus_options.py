@@ -3,10 +3,16 @@
 import argparse
 from pathlib import Path
 
+from lightstage.api.errors import RequestError
 from lightstage.cli.run import add_run_options
 from lightstage.cli.values import number
 from lightstage.products import choices
-from lightstage.store.errors import RequestError
+
+SET_OPTIONS = (
+    "match", "across", "kinds", "mean", "contrast", "background", "grey", "encoding", "morph", "levels", "vary",
+    "distance_cm", "pixels_per_cm",
+)  # fmt: skip
+"""Those that the set's recipe has."""
 
 
 def add_options(stimuli: argparse.ArgumentParser) -> None:

@@ -3,8 +3,8 @@
 import argparse
 from typing import TYPE_CHECKING
 
+from lightstage.api.errors import RequestError
 from lightstage.cli.values import number
-from lightstage.store.errors import RequestError
 
 if TYPE_CHECKING:
     from lightstage.api.sequences import Timing

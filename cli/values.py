@@ -1,4 +1,4 @@
-"""Numbers given as options: what no command could make sense of is refused before one begins.
+"""Numbers and places given as options: what no command could make sense of is refused before one begins.
 
 Which numbers are right is each command's business; here it is only that they are finite and not absurd, as in a
 file (`store.document`, which is imported when a number is given, not before).
@@ -6,6 +6,8 @@ file (`store.document`, which is imported when a number is given, not before).
 
 import argparse
 import math
+
+from lightstage.api.errors import RequestError
 
 
 def whole(text: str) -> int:
@@ -34,6 +36,19 @@ def number(text: str) -> float:
     if not math.isfinite(value):
         raise argparse.ArgumentTypeError(f"a finite number is expected, found '{text}'")
     return _bounded(value, text)
+
+
+def pixel(text: str) -> tuple[int, int]:
+    """(x, y) of an --at.
+
+    Raises:
+        RequestError: it is no pair of whole numbers.
+    """
+    try:
+        x, y = (int(part) for part in text.split(","))
+    except ValueError:
+        raise RequestError(f"--at {text}: expected X,Y in whole pixels, such as 120,200") from None
+    return x, y
 
 
 def _bounded(value: float, text: str) -> float:

@@ -39,19 +39,19 @@ def encode_png(
 
     # OpenCV writes B, G, R, A
     turned = values if values.ndim == 2 else values[..., [2, 1, 0, *range(3, values.shape[2])]]
-    good, made = cv2.imencode(".png", turned)
+    good, encoded = cv2.imencode(".png", turned)
     if not good:
         raise OSError("the picture cannot be encoded as PNG")
-    data = made.tobytes()
-    said = _chunk(b"sRGB", _RELATIVE_COLORIMETRIC) if light == "srgb" else b""
+    data = encoded.tobytes()
+    chunks = _chunk(b"sRGB", _RELATIVE_COLORIMETRIC) if light == "srgb" else b""
     if light is not None:
         gamma = _SRGB_GAMMA if light == "srgb" else 1.0
         white_first = (*REC709[6:], *REC709[:6])
-        said += _chunk(b"gAMA", struct.pack(">I", round(100000 * gamma)))
-        said += _chunk(b"cHRM", struct.pack(">8I", *(round(100000 * value) for value in white_first)))
+        chunks += _chunk(b"gAMA", struct.pack(">I", round(100000 * gamma)))
+        chunks += _chunk(b"cHRM", struct.pack(">8I", *(round(100000 * value) for value in white_first)))
     if comment:
-        said += _chunk(b"tEXt", b"Comment\0" + comment.encode("latin-1", "replace"))
-    return data[:_HEAD] + said + data[_HEAD:]
+        chunks += _chunk(b"tEXt", b"Comment\0" + comment.encode("latin-1", "replace"))
+    return data[:_HEAD] + chunks + data[_HEAD:]
 
 
 def _chunk(kind: bytes, content: bytes) -> bytes:

@@ -13,6 +13,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from lightstage.formats.errors import FormatError
+
 PREFIX = ".lightstage-"
 
 
@@ -89,6 +91,21 @@ def whole_file(path: Path) -> Iterator[Path]:
         if beside is not None and error.filename not in (None, str(beside)):
             raise  # of another file
         raise OSError(error.errno, error.strerror or str(error), str(path)) from error
+
+
+def write_new(path: Path, data: bytes) -> None:
+    """Put `data` at `path`, where there is nothing yet, or the same. The file's folder is made too.
+
+    Raises:
+        FormatError: something else is there.
+        OSError: it cannot be written.
+    """
+    if os.path.lexists(path):
+        if path.is_file() and path.read_bytes() == data:
+            return
+        raise FormatError(f"{path} is there already and holds something else; remove it, or name another file")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, data)
 
 
 def write_whole(path: Path, data: bytes) -> None:

@@ -58,18 +58,18 @@ def _same(folder: Path, files: Mapping[str, bytes]) -> bool:
 class WholeSet:
     """What one command puts into one folder."""
 
-    def __init__(self, folder: Path, record: str, *, of: Mapping[str, str]) -> None:
+    def __init__(self, folder: Path, record: str, *, subject: Mapping[str, str]) -> None:
         """For a folder, which need not be there yet.
 
         Args:
             folder: where.
             record: the record's name, which says which command's files they are.
-            of: what the files are of, such as the session. What a record says of a whole folder, in the same words,
-                must agree; so must what it says of a file that is to be replaced.
+            subject: what the files are of, such as the session. What a record says of a whole folder, in the same
+                words, must agree; so must what it says of a file that is to be replaced.
         """
         self.folder = folder
         self.record = record
-        self.of = dict(of)
+        self.subject = dict(subject)
 
     def claim(self, names: Iterable[str]) -> None:
         """Make the folder, and make sure that these files may be written; to be asked before the work.
@@ -83,7 +83,7 @@ class WholeSet:
         except OSError as error:
             raise FormatError(f"{self.folder}: no folder can be made there ({error.strerror})") from None
         record = self._read()
-        for what, name in self.of.items():
+        for what, name in self.subject.items():
             if record.get(what, name) != name:
                 raise FormatError(
                     f"{self.folder} holds the files of {what} '{record[what]}'; choose another folder"
@@ -105,7 +105,7 @@ class WholeSet:
                 f"{path} is there already and is not as {self.record} describes it; "
                 "move it away, or choose another folder"
             )
-        others = [f"{what} '{entry[what]}'" for what, own in self.of.items() if entry.get(what, own) != own]
+        others = [f"{what} '{entry[what]}'" for what, own in self.subject.items() if entry.get(what, own) != own]
         if others:
             raise FormatError(
                 f"{path} is there already and is of {' and '.join(others)}; move it away, or choose another folder"

@@ -198,8 +198,8 @@ def _write_maps(folder: Path, material: Material) -> dict[str, Entry]:
     def padded(values: Array) -> Array:
         """(y, x) or (y, x, channel), from what is nearest on the subject."""
         layers = values[..., None] if values.ndim == 2 else values
-        made = filled(np.where(known[..., None], layers, np.nan))
-        return np.asarray(made[..., 0] if values.ndim == 2 else made)
+        whole = filled(np.where(known[..., None], layers, np.nan))
+        return np.asarray(whole[..., 0] if values.ndim == 2 else whole)
 
     def write(name: str, channels: Mapping[str, Any], what: str, units: str, **more: Any) -> None:
         colour = more.pop("colour", DATA)
@@ -207,8 +207,8 @@ def _write_maps(folder: Path, material: Material) -> dict[str, Entry]:
         files[name] = {"what": what, "channels": list(channels), "units": units, "colorInteropID": colour, **more}
 
     def unit(normal: Array) -> Array:
-        made = padded(normal)
-        return np.asarray(made / np.maximum(np.linalg.norm(made, axis=2, keepdims=True), 1e-9))
+        vectors = padded(normal)
+        return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=2, keepdims=True), 1e-9))
 
     bands = np.moveaxis(padded(np.moveaxis(material.reflectance, 0, 2)), 2, 0)
     write(names.BASE_COLOUR, rgb(padded(material.colour)), "diffuse albedo in colour", "1", colour=COLOUR)

@@ -137,11 +137,11 @@ def write_pictures(
     files: dict[str, Entry] = {}
     pictures = []
     for setup in progress(setups, len(setups), "pictures"):
-        made = relight(surface, material.camera, setup.lamps)
+        light = relight(surface, material.camera, setup.lamps)
         layers = {
-            "": np.concatenate([made.diffuse + made.specular, known[..., None]], axis=2),
-            "diffuse": made.diffuse,
-            "specular": made.specular,
+            "": np.concatenate([light.diffuse + light.specular, known[..., None]], axis=2),
+            "diffuse": light.diffuse,
+            "specular": light.specular,
         }
         channels = {
             name: values
@@ -156,7 +156,7 @@ def write_pictures(
             "units": "1: a white surface that faces a light of strength 1",
             "colorInteropID": COLOUR,
         }
-        pictures.append((made.diffuse + made.specular)[known])
+        pictures.append((light.diffuse + light.specular)[known])
     if exposure is None:
         brightest = max(float(np.percentile(picture.max(axis=1), _BRIGHT)) for picture in pictures)
         exposure = _SHOWN / brightest if brightest > 0 else 1.0
@@ -235,9 +235,9 @@ def write_turn(
         for step in progress(range(steps), steps, "frames"):
             places = setup.lamps.places.copy()
             places[: setup.turning] = turned(places[: setup.turning], 360.0 * step / steps)
-            made = relight(surface, material.camera, setup.lamps._replace(places=places))
+            light = relight(surface, material.camera, setup.lamps._replace(places=places))
             canvas = np.zeros((rows, columns, 3), np.uint8)
-            shown = srgb_8(exposure * np.nan_to_num(made.diffuse + made.specular))
+            shown = srgb_8(exposure * np.nan_to_num(light.diffuse + light.specular))
             canvas[: shown.shape[0], : shown.shape[1]] = shown
             yield canvas
 

@@ -211,7 +211,7 @@ def morphed(
         raise ProductError("one session is in colour and one is not; set stimulus.colour=grey for both")
     flow = _flow_between(a, b, sources, frame)
     lights = parse_lights(str(a.attrs["lights"]))
-    made = []
+    morphs = []
     for level in levels:
         if vary == "shape":
             to = between(flow, level)
@@ -224,8 +224,8 @@ def morphed(
         shape = np.broadcast_to(shade(normal, lights), texture.shape)
         images = {"shape": shape, "texture": texture, "both": shape * texture}
         name = names.morph(a.name, b.name, vary, level)
-        made.append(Subject(name, normal, images, max(a.filled, b.filled), a.attrs))
-    return made
+        morphs.append(Subject(name, normal, images, max(a.filled, b.filled), a.attrs))
+    return morphs
 
 
 def _flow_between(a: Subject, b: Subject, sources: Mapping[str, Source], frame: Frame) -> Image:

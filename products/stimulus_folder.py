@@ -103,9 +103,9 @@ def jspsych_files(source: Path) -> dict[str, bytes]:
         ProductError: the folder has none.
     """
     for places in (_LOCAL, _LOCAL.values()):
-        found = [source / place for place in places]
-        if all(path.is_file() for path in found):
-            return {f"jspsych/{name}": path.read_bytes() for name, path in zip(_LOCAL, found, strict=True)}
+        files = [source / place for place in places]
+        if all(path.is_file() for path in files):
+            return {f"jspsych/{name}": path.read_bytes() for name, path in zip(_LOCAL, files, strict=True)}
     raise ProductError(
         f"{source}: is no copy of jsPsych; expected a folder with {', '.join(_LOCAL)}, or one in which "
         f"`npm install {' '.join(JSPSYCH)}` was run"

@@ -57,6 +57,18 @@ def sphere(tmp_path: Path) -> Path:
     return sphere_capture(tmp_path / "ball")
 
 
+@pytest.fixture(scope="session")
+def standing(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A store with a session that was run, for tests that only look."""
+    from lightstage.cli.main import main
+
+    folder = tmp_path_factory.mktemp("standing")
+    store = folder / "store"
+    assert main(["--store", str(store), "import", str(sphere_capture(folder / "ball"))]) == 0
+    assert main(["--store", str(store), "run", "--session", "ball"]) == 0
+    return store
+
+
 @dataclass(frozen=True)
 class Answer:
     """What a command said."""

@@ -37,6 +37,7 @@ def plain_environment(**more: str) -> dict[str, str]:
     return {name: value for name, value in os.environ.items() if not name.startswith(ours)} | more
 
 
+@pytest.mark.slow
 def test_a_home_holds_compiled_code_and_nothing_else(tmp_path: Path, sphere: Path) -> None:
     home, here, temporary = (tmp_path / name for name in ("home", "here", "temporary"))
     for folder in (home, here, temporary):
@@ -78,6 +79,7 @@ def as_nobody(*words: str) -> bool:
     )
 
 
+@pytest.mark.slow
 def test_an_installation_that_cannot_be_written_runs_without_a_home(open_folder: Path) -> None:
     if not as_nobody(sys.executable, "-c", "import numpy"):
         pytest.skip("needs root, setpriv, and a Python that another user may run")

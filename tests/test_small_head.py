@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from lightstage.store.grid import open_dataset
 from tests.conftest import REPOSITORY, run_process
 
+pytestmark = pytest.mark.slow
+
 CAPTURE = REPOSITORY / "tests" / "data" / "small_head"
 Open = Callable[[str], xr.Dataset]
 

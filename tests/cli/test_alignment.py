@@ -164,8 +164,27 @@ def test_given_points_are_marked_in_every_picture(lightstage: Lightstage, aligne
             assert pixel(page, column, row, 22, 10) == [255, 80, 70]
             assert len(set(pixel(page, column, row, 20, 10))) == 1
             assert pixel(page, column, row, 2, 39) == [90, 220, 90]
-    said = lightstage("alignment", "--session", aligned, "--to", file)
-    assert said.out.strip() == str(file)
+    again = lightstage("alignment", "--session", aligned, "--at", "20,10", "--at", "0,39", "--to", file)
+    assert again.out.strip() == str(file)  # the same is there
+
+
+@pytest.mark.parametrize("other", [b"another picture", None])
+def test_a_file_of_somebody_else_stays(
+    lightstage: Lightstage, aligned: str, tmp_path: Path, other: bytes | None
+) -> None:
+    file = tmp_path / "figure.png"
+    if other is None:  # a page with other marks
+        lightstage("alignment", "--session", aligned, "--at", "20,10", "--to", file)
+    else:
+        file.write_bytes(other)
+    before = file.read_bytes()
+    refused = lightstage("alignment", "--session", aligned, "--at", "5,5", "--to", file)
+    assert refused.code == 2
+    assert refused.err == (
+        f"lightstage: --to {file} is there already and holds something else; remove it, or name another file\n"
+    )
+    assert file.read_bytes() == before
+    assert lightstage("alignment", "--session", aligned, "--at", "5,5").code == 0  # the store's own is drawn anew
 
 
 def test_flow_is_drawn_from_the_tracking_frame_to_the_picture(

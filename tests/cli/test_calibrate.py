@@ -14,6 +14,8 @@ from lightstage.hw import ball_targets, flat_targets
 from lightstage.hw.virtual_rig import Shot
 from tests.conftest import Answer
 
+pytestmark = pytest.mark.slow
+
 SEED = 211
 BANDS = (407, 434, 445, 497, 576, 655)
 Command = Callable[..., Answer]

@@ -16,6 +16,8 @@ from tests.conftest import Answer
 from tests.readers import Exr, Glb
 from tests.scenes import sphere_capture
 
+pytestmark = pytest.mark.slow
+
 Lightstage = Callable[..., Answer]
 SIZE = (120, 92)
 

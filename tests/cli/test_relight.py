@@ -23,6 +23,8 @@ from tests.environments import white, write_hdr, write_map
 from tests.readers import Exr
 from tests.scenes import STATIC, light_places, near_ball, write_capture
 
+pytestmark = pytest.mark.slow
+
 Lightstage = Callable[..., Answer]
 SHOT = Shot(width=120, height=92)
 WIDTHS_NM = (17, 17, 20, 16, 10, 15)

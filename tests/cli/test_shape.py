@@ -4,8 +4,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pytest
 import trimesh
 from pygltflib import GLTF2
+
+pytestmark = pytest.mark.slow
 
 
 def test_the_command(lightstage: Callable[..., Any], tmp_path: Path) -> None:

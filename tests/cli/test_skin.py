@@ -11,6 +11,8 @@ import xarray
 
 from tests.conftest import Answer
 
+pytestmark = pytest.mark.slow
+
 Lightstage = Callable[..., Answer]
 
 

@@ -9,6 +9,8 @@ import pytest
 from tests.conftest import REPOSITORY, run_process
 from tests.scenes import sphere_capture
 
+pytestmark = pytest.mark.slow
+
 NUMERICS = {"numpy", "cv2", "numba", "scipy", "skimage", "colour", "pyamg", "matplotlib", "PIL", "trimesh"}
 STORAGE = {"zarr", "xarray", "dask", "distributed", "numcodecs"}
 READING = {"pydantic", "yaml", "lightstage.stages", "lightstage.dag.graph", "lightstage.dag.plan"}

@@ -22,6 +22,8 @@ from lightstage.products.stimulus_folder import COLUMNS
 from tests.conftest import Answer
 from tests.readers import chunks
 
+pytestmark = pytest.mark.slow
+
 Lightstage = Callable[..., Answer]
 SUBJECTS = ("one", "two")
 QUICK = ("--set", "relief.correct=lights")
@@ -339,3 +341,12 @@ def test_a_sheet_of_lights(heads: Path, lightstage: Lightstage, tmp_path: Path) 
     assert done.code == 0, done.err
     (file,) = done.json["pictures"]
     assert np.asarray(Image.open(file)).std() > 20
+    words = ("stimuli", "one", *QUICK, "--preview-lights", "--to", tmp_path / "sheet")
+    assert lightstage(*words, store=heads).code == 0  # the same is there
+    Path(file).write_bytes(b"somebody else's")
+    refused = lightstage(*words, store=heads)
+    assert refused.code == 2
+    assert refused.err.endswith(
+        f"--to {file} is there already and holds something else; remove it, or name another file\n"
+    )
+    assert Path(file).read_bytes() == b"somebody else's"

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from lightstage.formats.whole_file import PREFIX, whole_file, work_folder, write_whole
+from lightstage.formats.errors import FormatError
+from lightstage.formats.whole_file import PREFIX, whole_file, work_folder, write_new, write_whole
 
 
 def test_it_takes_its_name_when_it_is_whole(tmp_path: Path) -> None:
@@ -104,3 +105,18 @@ def test_a_folder_that_was_taken_for_a_leftover_is_made_again(
     with work_folder(tmp_path) as work:
         (work / "a").write_text("")
     assert taken == ["held", "removed"]
+
+
+def test_a_new_file_is_written_once_and_takes_nobody_s_place(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "a.png"
+    write_new(path, b"a")
+    inode = path.stat().st_ino
+    write_new(path, b"a")
+    assert path.stat().st_ino == inode
+    with pytest.raises(FormatError, match=r"a\.png is there already and holds something else"):
+        write_new(path, b"b")
+    assert path.read_bytes() == b"a"
+    (tmp_path / "link").symlink_to(tmp_path / "nowhere")
+    for other in (tmp_path / "new", tmp_path / "link"):
+        with pytest.raises(FormatError, match="is there already"):
+            write_new(other, b"a")

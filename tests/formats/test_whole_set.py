@@ -11,12 +11,12 @@ from lightstage.formats.errors import FormatError
 from lightstage.formats.whole_set import WholeSet, digest, write_folder
 
 
-def deliver(folder: Path, text: str, *, name: str = "a", **of: str) -> None:
-    delivery = WholeSet(folder, "record.json", of=of)
+def deliver(folder: Path, text: str, *, name: str = "a", **subject: str) -> None:
+    delivery = WholeSet(folder, "record.json", subject=subject)
     delivery.claim([name])
     with delivery.making() as work:
         (work / name).write_text(text)
-        assert delivery.settle(work, {"format": "x/1"}, {name: dict(of)}) == [folder / name]
+        assert delivery.settle(work, {"format": "x/1"}, {name: dict(subject)}) == [folder / name]
 
 
 def test_a_folder_is_there_whole_and_only_once(tmp_path: Path) -> None:
@@ -69,17 +69,17 @@ def test_a_file_of_another_thing_is_not_replaced(tmp_path: Path) -> None:
 
 
 def test_a_whole_folder_can_be_of_one_session(tmp_path: Path) -> None:
-    delivery = WholeSet(tmp_path, "record.json", of={"session": "one"})
+    delivery = WholeSet(tmp_path, "record.json", subject={"session": "one"})
     delivery.claim(["a"])
     with delivery.making() as work:
         (work / "a").write_text("made")
         delivery.settle(work, {"session": "one"}, {"a": {}})
     with pytest.raises(FormatError, match="holds the files of session 'one'"):
-        WholeSet(tmp_path, "record.json", of={"session": "two"}).claim(["b"])
+        WholeSet(tmp_path, "record.json", subject={"session": "two"}).claim(["b"])
 
 
 def test_what_stops_leaves_nothing(tmp_path: Path) -> None:
-    delivery = WholeSet(tmp_path / "out", "record.json", of={})
+    delivery = WholeSet(tmp_path / "out", "record.json", subject={})
     delivery.claim(["a"])
 
     def stopped() -> None:
@@ -96,13 +96,13 @@ def test_what_stops_leaves_nothing(tmp_path: Path) -> None:
 def test_a_record_of_somebody_else_stops_it(tmp_path: Path, content: str) -> None:
     (tmp_path / "record.json").write_text(content)
     with pytest.raises(FormatError, match=r"record.json is there already and is no record of this command"):
-        WholeSet(tmp_path, "record.json", of={}).claim(["a"])
+        WholeSet(tmp_path, "record.json", subject={}).claim(["a"])
 
 
 def test_places_that_are_none(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "record.json")
     with pytest.raises(FormatError, match="is no record"):
-        WholeSet(tmp_path, "record.json", of={}).claim([])
+        WholeSet(tmp_path, "record.json", subject={}).claim([])
     (tmp_path / "file").write_text("")
     with pytest.raises(FormatError, match="no folder can be made there"):
-        WholeSet(tmp_path / "file" / "x", "record.json", of={}).claim([])
+        WholeSet(tmp_path / "file" / "x", "record.json", subject={}).claim([])

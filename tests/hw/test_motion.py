@@ -93,6 +93,7 @@ def test_what_talks_lies_within_the_heads_bound() -> None:
     assert (np.linalg.norm(warp[:, :3], axis=1) + warp[:, 3:6].max(axis=1)).max() < 175
 
 
+@pytest.mark.slow
 def test_normals_are_those_of_the_surface_that_is_traced() -> None:
     """Against cross products of points traced about 0.5 mm apart, to 1e-3 mm.
 

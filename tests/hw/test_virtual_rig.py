@@ -72,6 +72,7 @@ def test_truth_normals_are_those_of_the_depth_map(small: Path) -> None:
     np.testing.assert_allclose(np.linalg.norm(truth["normal"][mask], axis=1), 1, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bytes_and_another_another_head(small: Path, tmp_path: Path) -> None:
     shot = Shot(width=64, height=48, bands_nm=(576,))
     first, second = capture(shot, tmp_path / "a"), capture(shot, tmp_path / "b")
@@ -138,6 +139,7 @@ def inner(mask: np.ndarray) -> np.ndarray:
     return cv2.erode(mask.astype(np.uint8), np.ones((5, 5))) > 0
 
 
+@pytest.mark.slow
 def test_a_performance_is_a_capture_in_time_that_imports(fast: Path, store: Store) -> None:
     done = import_capture(fast, store)
     assert done.warnings == ()
@@ -261,6 +263,7 @@ def test_hidden_skin_is_not_visible(fast: Path) -> None:
         assert (found[f"flow_to_t{t:02d}"][~mask] == 0).all()
 
 
+@pytest.mark.slow
 def test_a_still_performance_is_the_static_head(tmp_path: Path) -> None:
     """Truth to the last bit; pictures up to noise, because each has its own exposure."""
     shot = {"width": 80, "height": 61, "bands_nm": (0,)}

@@ -12,6 +12,7 @@ from lightstage.products.face_points import find_points, mean_face
 from tests.face_scenes import view
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [5, 6])
 def test_eyes_are_found_to_a_hundredth_of_their_distance(seed: int) -> None:
     """Not of every head: where eyes hardly bulge they are 5 % off, which docs/methods/stimuli.md tables."""

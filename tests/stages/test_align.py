@@ -86,6 +86,7 @@ def test_the_contract_and_the_truth(lightstage: Lightstage, capture: Any) -> Non
     assert normals.tracking.values.tolist() == [2, 5, 8]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ["joint", "alternating", "direct", "none"])
 def test_every_engine_runs(lightstage: Lightstage, capture: Any, engine: str) -> None:
     align = opened(run(lightstage, capture(), "--set", f"align.engine={engine}"))
@@ -106,6 +107,7 @@ def test_a_still_capture_passes_through(lightstage: Lightstage, sphere: Path) ->
     assert not align.flow.values.any()
 
 
+@pytest.mark.slow
 def test_a_preview_is_reused_by_the_full_run(lightstage: Lightstage, capture: Any) -> None:
     preview = run(lightstage, capture(), "--frames", "0:6").json["nodes"]["align"]
     # the window of 2 reads the tracking frame 5 too; that of 5 reads 8
@@ -114,6 +116,7 @@ def test_a_preview_is_reused_by_the_full_run(lightstage: Lightstage, capture: An
     assert (full["computed"], full["reused"]) == (2, 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("frame", "windows"), [(0, 1), (4, 2), (8, 2), (11, 1)])
 def test_a_replaced_picture_costs_the_windows_that_read_it(
     lightstage: Lightstage, capture: Any, pictures: list[Any], frame: int, windows: int
@@ -173,6 +176,7 @@ LIES: dict[str, tuple[Callable[[list[Any]], dict[str, Any]], list[str], list[tup
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", LIES)
 def test_pictures_that_lie_are_named_and_not_used(
     lightstage: Lightstage, capture: Any, pictures: list[Any], kind: str

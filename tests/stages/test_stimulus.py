@@ -14,6 +14,7 @@ def test_a_wrong_light_is_named() -> None:
         StimulusParams(lights="0,95,1")
 
 
+@pytest.mark.slow
 def test_the_stage_runs_on_the_virtual_rig(lightstage: Callable[..., Answer]) -> None:
     import xarray
 

@@ -165,12 +165,14 @@ def exfat(tmp_path: Path) -> Iterator[Path]:
         subprocess.run(["losetup", "-d", device.stdout.strip()], check=False)
 
 
+@pytest.mark.slow
 def test_all_of_it_works_on_exfat(
     lightstage: Callable[..., Answer], sphere: Path, exfat: Path, tmp_path: Path
 ) -> None:
     all_of_it_works(lightstage, sphere, exfat / "store", tmp_path / "out")
 
 
+@pytest.mark.slow
 def test_a_full_exfat_disk_is_a_sentence(lightstage: Callable[..., Answer], sphere: Path, exfat: Path) -> None:
     assert lightstage("import", sphere, store=exfat / "store").code == 0
     with contextlib.suppress(OSError), open(exfat / "ballast", "wb", buffering=0) as file:
@@ -368,6 +370,7 @@ def limited(script: str, store: Path) -> Iterator[subprocess.CompletedProcess[st
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("limit", "said"), [("ulimit -n 24", "ulimit -n"), ("ulimit -f 0", "ulimit -f")])
 def test_few_open_files_and_small_ones_are_said(limit: str, said: str, store: Store, sphere: Path) -> None:
     import_capture(sphere, store)

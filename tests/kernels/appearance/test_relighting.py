@@ -91,6 +91,7 @@ def test_a_white_furnace() -> None:
     np.testing.assert_allclose(out[known], 1, atol=0.02)  # 512 lights for a hemisphere's integral
 
 
+@pytest.mark.slow
 def test_gloss_under_an_environment_of_one() -> None:
     surface, camera, _ = ball(gloss=at_normal_incidence(INDEX))
     directions, strength = median_cut(np.ones((64, 128, 1)), 2048)

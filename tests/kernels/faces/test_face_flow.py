@@ -29,6 +29,7 @@ def flow(heads: Any) -> Any:
     return face_flow(heads[0].normal, heads[1].normal, OVAL, FRAME.eyes_px)
 
 
+@pytest.mark.slow
 def test_parts_of_one_head_come_to_those_of_another(heads: Any, flow: Any) -> None:
     """Without the flow the lips are 10 pixels off; with it all are within 3, 5 % of the eye distance.
 
@@ -43,6 +44,7 @@ def test_parts_of_one_head_come_to_those_of_another(heads: Any, flow: Any) -> No
     assert after.max() < 3
 
 
+@pytest.mark.slow
 def test_a_bent_head_is_followed_back_to_the_one_at_rest() -> None:
     """Every pixel is known: 4 pixels off on average without the flow, 1.5 with it (2.5 % of the eye distance).
 

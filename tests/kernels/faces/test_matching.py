@@ -94,6 +94,7 @@ def heads() -> list[Any]:
     return [*shapes, *textures, *(s * t for s, t in zip(shapes, textures, strict=True))]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("methods", [["mean-contrast"], ["spectrum"]])
 def test_six_heads_are_equal_as_promised_and_hardly_clipped(heads: list[Any], methods: list[str]) -> None:
     matched = match(heads, setting(), methods, mean=0.4, contrast=0.08)

@@ -15,6 +15,8 @@ from lightstage.kernels.motion.band_alignment import KINDS, BandFlow, Kind, Ligh
 from tests.conftest import Answer
 from tests.scenes import MINIMAL, STATIC, Performer, ideal_gradient, write_capture
 
+pytestmark = pytest.mark.slow
+
 Array = NDArray[Any]
 ACTOR = Performer()
 TIMES = {407: 1.5, 497: 0.0, 655: -2.0}

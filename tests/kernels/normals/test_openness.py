@@ -55,6 +55,7 @@ def pitted() -> tuple[Any, ...]:
     return pit, *out
 
 
+@pytest.mark.slow
 def test_light_that_pits_take_is_measured_although_no_depth_map_shows_them(pitted: Any) -> None:
     pit, (found, true), (_, whole) = pitted
     inner = pit & (np.hypot(*(np.mgrid[0:96, 0:96] - 47.5)) < 9)

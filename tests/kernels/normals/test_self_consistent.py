@@ -29,6 +29,7 @@ def test_near_ball_is_exact_without_noise_and_tells_its_distance(ball: tuple[Any
     assert np.mean(angle_deg(plain.T, truth[:, inner])) > 0.5
 
 
+@pytest.mark.slow
 def test_the_whole_solution_is_the_same_twice(ball: tuple[Any, ...]) -> None:
     pictures, _, depth, camera, lights = ball
     mask = np.isfinite(depth)
@@ -50,6 +51,7 @@ def test_two_parts_of_a_subject_have_a_distance_each(ball: tuple[Any, ...]) -> N
         assert abs(np.median((found.depth - depth)[half][inside])) < 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("albedos", [(0.6, 0.6, 0.6), (0.6,) * 6, (0.6, 0.61, 0.62)])
 def test_bands_of_one_albedo_tell_nothing_of_bounces_and_change_nothing(
     ball: tuple[Any, ...], albedos: tuple[float, ...]

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lightstage.cli.face_points import read_points
+from lightstage.api.face_points import read_points
 from lightstage.products.face_points import as_yaml
 from lightstage.store.errors import RequestError
 
