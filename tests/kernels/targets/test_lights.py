@@ -14,7 +14,7 @@ RING = {0: circle(*CENTRE, RADIUS)}
 NOTHING = np.array([np.nan, np.nan])
 
 
-# a textbook's icosahedron with a vertex up: rings of five at heights +-1 / sqrt(5), the lower one turned by 36 degrees;
+# a textbook's icosahedron, a vertex up: rings of five at heights +-1 / sqrt(5), the lower one turned by 36 degrees;
 # numbered from above, each ring from the camera (z) towards x
 ICOSAHEDRON = np.array(
     [
