@@ -53,7 +53,7 @@ def table(method: str, base: str, have: Sequence[str], *, qp: bool = False) -> T
             direction.append((2, 0, 0, -1) if direct else (0, -2, 0, 1))
             names = (axis, axis) if direct else (opposite, opposite)
         slots[axis], slots[opposite] = names
-        used += [name for name in names if name not in used]
+        used += [name for name in dict.fromkeys(names) if name not in used]
     constant: tuple[float, float, float]
     if CONSTANT in have:
         constant = (1, 0, 0)

@@ -9,20 +9,23 @@ from tests.scenes import angle_deg
 
 
 def test_the_filter_takes_noise_and_leaves_a_groove() -> None:
-    generator = np.random.default_rng(0)
     x = np.mgrid[0:80, 0:80][1]
     tilt = np.where((x % 20) < 3, 0.5, 0.0)
     truth = np.stack([tilt, np.zeros_like(tilt), np.ones_like(tilt)], axis=-1)
     truth /= np.linalg.norm(truth, axis=2, keepdims=True)
-    noisy = truth + generator.normal(0, 0.03, truth.shape)
-    noisy /= np.linalg.norm(noisy, axis=2, keepdims=True)
-    mask = np.ones((80, 80), bool)
-    out = non_local_means(noisy, np.ones((80, 80)), mask)
-    assert noise_factor(noisy, np.ones((80, 80)), mask) == pytest.approx(0.03, rel=0.35)
-    flat = (x % 20) > 8
-    before, after = (angle_deg(np.moveaxis(n, 2, 0), np.moveaxis(truth, 2, 0)) for n in (noisy, out))
-    assert after[flat].mean() < 0.3 * before[flat].mean()
-    assert out[..., 0][(x % 20) == 1].mean() > 0.9 * truth[0, 1, 0]
+    mask, flat, even = np.ones((80, 80), bool), (x % 20) > 8, np.ones((80, 80))
+    factor, left, depth = [], [], []
+    for seed in range(5):
+        noisy = truth + np.random.default_rng(seed).normal(0, 0.03, truth.shape)
+        noisy /= np.linalg.norm(noisy, axis=2, keepdims=True)
+        out = non_local_means(noisy, even, mask)
+        before, after = (angle_deg(np.moveaxis(n, 2, 0), np.moveaxis(truth, 2, 0)) for n in (noisy, out))
+        factor.append(noise_factor(noisy, even, mask))
+        left.append(after[flat].mean() / before[flat].mean())
+        depth.append(out[..., 0][(x % 20) == 1].mean() / truth[0, 1, 0])
+    assert np.mean(factor) == pytest.approx(0.03, rel=0.03)  # one is good to 1.3 %
+    assert np.mean(left) < 0.3
+    assert np.mean(depth) == pytest.approx(1, abs=0.02)
 
 
 def test_small_pictures_do_not_crash_the_filter_or_the_integration() -> None:

@@ -3,15 +3,29 @@
 import numpy as np
 import pytest
 
-from lightstage.hw.geodesic import light_positions
 from lightstage.kernels.errors import KernelError
 from lightstage.kernels.targets.labels import LIGHT_STATUS
 from lightstage.kernels.targets.lights import Ball, Spots, item, lights, prepare, renumbered, sightings, verdict
+from tests.kernels.targets import mirror_ball
 from tests.kernels.targets.spots import circle
 
 CENTRE, RADIUS = np.array([70.0, 60.0]), 45.0
 RING = {0: circle(*CENTRE, RADIUS)}
 NOTHING = np.array([np.nan, np.nan])
+
+
+# a textbook's icosahedron, a vertex up: rings of five at heights +-1 / sqrt(5), the lower one turned by 36 degrees;
+# numbered from above, each ring from the camera (z) towards x
+ICOSAHEDRON = np.array(
+    [
+        [0, 1, 0],
+        [0, 0.4472136, 0.8944272], [0.8506508, 0.4472136, 0.2763932], [0.5257311, 0.4472136, -0.7236068],
+        [-0.5257311, 0.4472136, -0.7236068], [-0.8506508, 0.4472136, 0.2763932],
+        [0.5257311, -0.4472136, 0.7236068], [0.8506508, -0.4472136, -0.2763932], [0, -0.4472136, -0.8944272],
+        [-0.8506508, -0.4472136, -0.2763932], [-0.5257311, -0.4472136, 0.7236068],
+        [0, -1, 0],
+    ]
+)  # fmt: skip
 
 
 def shown(
@@ -85,19 +99,59 @@ def test_distant_lights_lie_where_the_bisector_says() -> None:
     assert verdict(arrays=arrays, labels=labels)[-1] == ("good", "directions of 5 lights, without a layout")
 
 
+def silhouette(ball_mm: np.ndarray) -> np.ndarray:
+    """(point, xy): where rays touch the ball."""
+    distance = np.linalg.norm(ball_mm)
+    axis = ball_mm / distance
+    across = np.cross(axis, [0.0, 1.0, 0.0])
+    across /= np.linalg.norm(across)
+    nearer = mirror_ball.RADIUS_MM**2 / distance
+    radius = mirror_ball.RADIUS_MM * np.sqrt(1 - (mirror_ball.RADIUS_MM / distance) ** 2)
+    turns = np.radians(np.arange(0, 360, 0.5))
+    points = (distance - nearer) * axis + radius * (
+        np.cos(turns)[:, None] * across + np.sin(turns)[:, None] * np.cross(axis, across)
+    )
+    return np.array([mirror_ball.projected(point) for point in points])
+
+
+def test_a_stage_built_to_a_textbooks_icosahedron_is_placed_and_numbered() -> None:
+    """Shown by the shortest way over the ball (Fermat); one light is behind the ball and left to the layout."""
+    ball_mm = np.array([1.0, 3.0, 888.0])
+    places = 790.0 * ICOSAHEDRON
+    hidden = 8
+    visible = [n for n in range(12) if n != hidden]
+    at = mirror_ball.shown(places[visible], ball_mm)
+    spots = {(0, n): shown(tuple(place), 400.0) for n, place in zip(visible, at, strict=True)}
+    spots[0, hidden] = shown(peak=np.nan)
+    dark = np.zeros((309, 406), np.uint16)  # no outline in it: the one under all lights is kept
+    columns = {field: {k: np.asarray(getattr(s, field)) for k, s in spots.items()} for field in Spots._fields}
+    layout = prepare(
+        camera=None, ball_radius_mm=None, mask=None, geodesic={"frequency": 1, "whole": True},
+        stage_radius_mm=790.0, stage_sigma_mm=3.0, placement_sigma_mm=5.0,
+    )["layout"]  # fmt: skip
+    ball = Ball(mirror_ball.camera(), mirror_ball.RADIUS_MM, None)
+    arrays = lights(dict.fromkeys(spots, dark), **columns, ring={0: silhouette(ball_mm)}, ball=ball, layout=layout)
+    away = np.linalg.norm(arrays["position_mm"] - places, axis=1)
+    assert away.max() < 4.0  # the stage's radius is believed to 3 mm, its middle to 2
+    assert away[visible].mean() < 1.5
+    np.testing.assert_array_equal(arrays["layout_place"], np.arange(12))
+    np.testing.assert_allclose(arrays["drive_position"], ICOSAHEDRON, atol=1e-6)
+    np.testing.assert_allclose(arrays["ball_mm"][0], ball_mm, atol=0.3)
+    assert not arrays["off_place"].any()
+    assert not arrays["renumbered"]
+
+
 def test_a_ring_counted_from_another_start_is_a_numbering_and_one_swap_is_not() -> None:
-    layout = light_positions(2)
-    height = np.round(layout[:, 1], 6)
-    ring = np.flatnonzero(height == height[10])
-    place = np.arange(len(layout))
-    assert renumbered(place, layout) is None
+    place = np.arange(12)
+    assert renumbered(place, ICOSAHEDRON) is None
+    ring = np.arange(1, 6)  # the five at one height
     place[ring] = np.roll(ring, 2)
-    order = renumbered(place, layout)
+    order = renumbered(place, ICOSAHEDRON)
     assert order is not None
-    np.testing.assert_array_equal(order[ring], np.roll(ring, 2))
-    swapped = np.arange(len(layout))
+    np.testing.assert_array_equal(order[ring], [4, 5, 1, 2, 3])
+    swapped = np.arange(12)
     swapped[[3, 9]] = 9, 3
-    assert renumbered(swapped, layout) is None
+    assert renumbered(swapped, ICOSAHEDRON) is None
 
 
 def test_the_verdict_names_what_is_wired_wrongly_and_what_is_not_seen() -> None:
