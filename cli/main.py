@@ -128,6 +128,8 @@ def _first_command(words: Sequence[str]) -> str:
 def _common(parser: argparse.ArgumentParser, *, default: object) -> None:
     parser.add_argument("--json", action="store_true", default=default, help="one JSON document on stdout")
     parser.add_argument("--debug", action="store_true", default=default, help="show the traceback of an error")
+    if default is argparse.SUPPRESS:  # behind the command it is understood, too
+        parser.add_argument("--store", default=default, metavar="DIR", help=argparse.SUPPRESS)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -174,9 +176,11 @@ def _command(words: Sequence[str], screen: Screen) -> int:
         if re.fullmatch(r"--[\w-]+=--", word):  # of which argparse makes an empty list
             raise RequestError(f"{word}: '--' is no value")
     try:
-        options = build_parser(words).parse_args(words)
+        options, strange = build_parser(words).parse_known_args(words)
     except SystemExit as done:  # --help and --version have said what was asked for
         return int(done.code or 0)
+    if strange:
+        raise RequestError(_not_understood(strange, options))
     if options.command is None:
         if screen.as_json:
             raise RequestError("a command is missing (`lightstage --help` lists them)")
@@ -191,6 +195,15 @@ def _command(words: Sequence[str], screen: Screen) -> int:
         set_aside(damage, options, screen)
         # begun again; what was computed before is there
         return int(options.handler(options, screen))
+
+
+def _not_understood(strange: Sequence[str], options: argparse.Namespace) -> str:
+    command = f" {options.command}" if options.command is not None else ""
+    hint = (
+        "a session is named by --session, and `" if "session" in options and not strange[0].startswith("-") else "`"
+    )
+    said = f"{command.strip()}: " if command else ""
+    return f"{said}'{' '.join(strange)}' is not understood ({hint}lightstage{command} --help` lists what there is)"
 
 
 _REMEDIES = {

@@ -69,7 +69,7 @@ def test_the_graph_is_that_of_the_pipeline(lightstage: Lightstage, tmp_path: Pat
 @pytest.mark.parametrize(
     ("words", "part"),
     [
-        (("path", "nrmals"), "no result of 'nrmals'"),
+        (("path", "nrmals"), "no result of a node 'nrmals'; did you mean 'normals'?"),
         (("why", "nrmals"), "did you mean 'normals'"),
         (("why", "capture"), "no result of a node 'capture'"),
     ],

@@ -156,3 +156,17 @@ def test_a_full_disk_is_a_sentence_and_nothing_is_lost(tmp_path: Path, sphere: P
     assert run_process("verify", store=store).returncode == 0
     assert run_process("run", "--session", "ball", store=store).returncode == 0
     assert not list((store / "tmp").glob("*"))
+
+
+def test_what_is_not_understood_names_the_command_and_the_word(lightstage: Lightstage) -> None:
+    done = lightstage("status", "demo")
+    assert done.code == 2
+    assert "status: 'demo' is not understood (a session is named by --session, and `lightstage status" in done.err
+    done = lightstage("gc", "--gracefully")
+    assert "gc: '--gracefully' is not understood (`lightstage gc --help` lists what there is)" in done.err
+
+
+def test_the_store_is_understood_on_either_side_of_the_command(lightstage: Lightstage, tmp_path: Path) -> None:
+    done = lightstage("path", "normals", "--session", "nobody", "--store", tmp_path / "behind")
+    assert done.code == 2
+    assert str(tmp_path / "behind") in done.err
