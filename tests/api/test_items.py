@@ -53,11 +53,11 @@ def test_an_item_is_found_by_the_beginning_of_its_name(finished: lightstage.Open
 
 
 def test_the_values_are_those_that_the_request_is_answered_with(
-    finished: lightstage.OpenSession, tmp_path: Path
+    ball: lightstage.OpenSession, tmp_path: Path
 ) -> None:
-    values = item_values(make_request("ball"), finished.opened)
+    values = item_values(make_request("ball"), ball.opened)
     assert values["homography"]["matrix"][0][2] == -1
     assert values["bands"]["bands"][0]["exposure"] == 3
     own = make_request("ball", items={"homography": homography(tmp_path, 7.0)})
-    assert item_values(own, finished.opened)["homography"]["matrix"][0][2] == 7
-    assert item_values(make_request("ball"), finished.opened) == values
+    assert item_values(own, ball.opened)["homography"]["matrix"][0][2] == 7
+    assert item_values(make_request("ball"), ball.opened) == values
