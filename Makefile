@@ -15,6 +15,7 @@ help:  ## list the targets
 $(VENV)/.user: requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "lightstage needs Python 3.11 or newer; $(PYTHON) is $$($(PYTHON) -V). Use make PYTHON=..."; exit 2; }
+	@echo "making the environment in $(VENV): a minute or two, once"
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .

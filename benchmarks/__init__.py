@@ -3,6 +3,11 @@
     kernels       the per-pixel kernels against numpy, OpenCV and a copy of the same bytes
     store         what the care of the store costs: a cached run, verify
     pipeline      whole runs: end to end, cached, memory, processes
+    start_up      what commands that compute nothing cost beside `import numpy`
+    growth        what a run costs against the number of its pictures
+    peers         the cached run and small changes beside doit, Snakemake, DVC and redun
+    contents      content digests of every array, before and after a change
+    processors    results under other processors' instructions
     accuracy      degrees against truth; writes docs/accuracy.md and its figures
     calibration   items against truth
     near_light    normals with near lights, shadows and bounced light

@@ -3,6 +3,7 @@
 stage.py        what a stage says of itself
 graph.py        pipeline.yaml -> checked graph
 sources.py      our own source files, and what of them this process executes
+code.py         what a module's code is, found once and remembered
 fingerprint.py  the keys; its docstring states the whole scheme
 plan.py         which blocks there are, what each reads, which are known already
 task.py         one block, wherever it is computed: the kernel, its inputs, its record

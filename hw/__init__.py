@@ -10,6 +10,9 @@ Imports nothing of ours outside itself.
     planning.py      both together: a plan
     skin.py          what skin reflects, band by band
     head.py          the subject: a head as a distance field
+    capture_folder.py, folder.py   capture folders that appear whole
+    ball_targets.py, flat_targets.py, target_scenes.py   calibration targets as the virtual rig sees them
+    color_checker.py the patches of a white-balance target
     motion.py        how the head turns, shifts and talks
     sensor.py        the cameras: response, dark, noise, bits
     virtual_rig.py   all of it together: a capture folder with ground truth

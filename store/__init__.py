@@ -15,9 +15,12 @@ notes.py        beside each group, what its files should be
 checked.py      a group read with every byte checked
 unshared.py     a group written where nobody else writes
 grid.py         the zarr groups that anyone can open with xarray
+names.py        what sessions and nodes may be called
 capture.py      the capture folder, as it comes off a rig
+importer.py     a capture folder brought into the store
 sessions.py     imported captures, and how they are changed
-calibration.py  calibration items
+items.py        calibration items, as the store keeps them
+calibration.py  what the file of an item says, kind by kind
 results.py      the result folders
 verify.py       every byte read, what can be mended mended, the rest named
 gc.py           what nothing refers to is freed
