@@ -41,7 +41,7 @@ def dermis(volumes: Array, passing: Array, *, saturation: float, vessel_radius_u
     """
     blood = absorption.blood_per_cm(saturation)
     depth = 2 * blood * vessel_radius_um * 1e-4
-    if depth.min() > 0:  # a radius may be too small to be multiplied
+    if depth.min() >= np.finfo(np.float64).tiny:  # below, numbers lose their digits, and blood is spread evenly
         blood = blood * -np.expm1(-depth) / depth
     return np.asarray(_seen(np.asarray(volumes)[:, None] * blood + _baseline_per_cm()) @ passing.T)
 

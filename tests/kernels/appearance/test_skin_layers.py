@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from lightstage.kernels.appearance import absorption
@@ -33,6 +33,7 @@ def test_one_wavelength_by_hand(nm: float, volume: float) -> None:
 
 @given(st.floats(0, 1), st.floats(0, 40))
 @settings(max_examples=20)
+@example(0.25, 2.2e-313)
 def test_more_blood_is_darker_and_vessels_hide_some(saturation: float, radius: float) -> None:
     spread = dermis(VOLUMES, PASSING, saturation=saturation, vessel_radius_um=0)
     vessels = dermis(VOLUMES, PASSING, saturation=saturation, vessel_radius_um=radius)
