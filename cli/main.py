@@ -202,8 +202,8 @@ def _not_understood(strange: Sequence[str], options: argparse.Namespace) -> str:
     hint = (
         "a session is named by --session, and `" if "session" in options and not strange[0].startswith("-") else "`"
     )
-    said = f"{command.strip()}: " if command else ""
-    return f"{said}'{' '.join(strange)}' is not understood ({hint}lightstage{command} --help` lists what there is)"
+    where = f"{command.strip()}: " if command else ""
+    return f"{where}'{' '.join(strange)}' is not understood ({hint}lightstage{command} --help` lists what there is)"
 
 
 _REMEDIES = {

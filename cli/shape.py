@@ -46,11 +46,11 @@ def handle_shape(options: argparse.Namespace, screen: Screen) -> int:
     summary = say_answer(answer, screen)
     dataset = opened(answer, ("shape",))["shape"]
     folder = options.to or store.root / "pictures" / names.shape_folder(session.name)
-    made = deliver_meshes(
+    delivered = deliver_meshes(
         session, "shape", dataset, folder, screen, form=options.format, every=options.every, space=space
     )
-    for file in made["files"]:
+    for file in delivered["files"]:
         if file.endswith(options.format):
             screen.say(f"mesh: {file}")
-    screen.document({**summary, **made})
+    screen.document({**summary, **delivered})
     return 0

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 import yaml
 
-from lightstage.cli.face_points import read_points
+from lightstage.api.face_points import read_points
 from lightstage.cli.main import main
 from lightstage.dag.stage import CalibrationPicture
 from lightstage.hw.sequence import period

@@ -100,7 +100,7 @@ def test_the_film_shows_the_normals(lightstage: Lightstage, moving: str, tmp_pat
 @pytest.mark.parametrize(
     ("words", "part"),
     [
-        (("upsampel", "--format", "mp4"), "no result of 'upsampel'"),
+        (("upsampel", "--format", "mp4"), "no result of a node 'upsampel'"),
         (("capture", "--format", "mp4"), "has no normals in time"),
         (("upsample", "--format", "mp4", "--fps", "0"), "between 0.1 and 120"),
         (("upsample", "--format", "mp4", "--fps", "nan"), "a finite number"),
@@ -123,7 +123,9 @@ def test_a_film_of_somebody_else_stays(lightstage: Lightstage, moving: str, tmp_
     words = ("export", "upsample", "--session", moving, "--to", out, "--format", "mp4")
     refused = lightstage(*words)
     assert refused.code == 2
-    assert "head_upsample.mp4 is there already and is not as export.json describes it" in refused.err
+    assert (
+        "head_upsample.mp4 is there already, and no export.json beside it says that it was delivered" in refused.err
+    )
     assert {path.name: path.read_bytes() for path in out.iterdir()} == {"head_upsample.mp4": b"old"}
     (out / "head_upsample.mp4").unlink()
     assert lightstage(*words).code == 0

@@ -40,7 +40,7 @@ def test_otherwise_the_missing_picture_is_named() -> None:
         STAGE.arrange([raw(["L00"])], BALL, STAGE.params())
     with pytest.raises(StageError, match=r"illumination C\) is missing at place 1 of the ball; add it"):
         STAGE.arrange([raw(["C", "L00"])], {**BALL, "part": [0, 1]}, STAGE.params())
-    with pytest.raises(StageError, match=r"measuring lights needs .* this one shows checkerboard"):
+    with pytest.raises(StageError, match=r"finding the ball needs .* this one shows checkerboard"):
         STAGE.arrange([raw(["C"])], BOARD, STAGE.params())
 
 
