@@ -73,6 +73,11 @@ class OpenStore:
         return f"<OpenStore {self.root}: {len(names)} session(s){': ' + shown if names else ''}>"
 
     @property
+    def exists(self) -> bool:
+        """Whether there is a store in the folder yet."""
+        return bool(self.opened.id)
+
+    @property
     def root(self) -> Path:
         """Its folder."""
         return self.opened.root

@@ -7,7 +7,7 @@ from typing import Any
 from lightstage.api.errors import RequestError
 from lightstage.api.stores import open_store
 from lightstage.cli.run import add_run_options, add_session_options, request_of
-from lightstage.cli.show import Screen
+from lightstage.cli.show import Screen, say_where_none_is
 from lightstage.sizes import human_size
 
 
@@ -38,6 +38,7 @@ def configure(commands: Any) -> None:
 def handle_status(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage status."""
     store = open_store(options.store)
+    say_where_none_is(store, screen)
     document: dict[str, Any] = {}
     rows = []
     for name in [options.session] if options.session is not None else store.sessions:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from lightstage.api.stores import Imported, OpenSession, OpenStore, open_store
-from lightstage.cli.show import Screen
+from lightstage.cli.show import Screen, say_where_none_is
 from lightstage.sizes import human_size
 
 _MOST_CHANGES, _MOST_ROWS = 30, 60
@@ -123,6 +123,7 @@ def say_verdict(session: OpenSession, screen: Screen) -> None:
 def handle_list(options: argparse.Namespace, screen: Screen) -> int:
     """lightstage sessions list."""
     store = open_store(options.store)
+    say_where_none_is(store, screen)
     sessions = [store.session(name).read() for name in store.sessions]
     rows = [
         (

@@ -6,9 +6,12 @@ import os
 import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from lightstage.api.errors import WorkError
+
+if TYPE_CHECKING:
+    from lightstage.api.stores import OpenStore
 
 
 class Screen:
@@ -132,6 +135,12 @@ def _bars(unit: str) -> Any:
         TimeRemainingColumn(),
     )
     return Progress(*columns, console=Console(stderr=True), transient=True)
+
+
+def say_where_none_is(store: "OpenStore", screen: "Screen") -> None:
+    """A word where a store is looked at that is not there: its name may be misspelt."""
+    if not store.exists:
+        screen.warn(f"there is no store at {store.root} yet; `lightstage import FOLDER` makes it")
 
 
 class RunWatcher:

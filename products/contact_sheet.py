@@ -15,6 +15,7 @@ LIT = 0.05
 _BEST_NM = 576
 """Where skin shows both melanin and blood."""
 _GAMMA = 2.2
+_UNKNOWN = "tab:red"
 
 
 def contact_sheet(session: str, stack: Any, normals: Any, frames: int) -> bytes:
@@ -50,11 +51,10 @@ def contact_sheet(session: str, stack: Any, normals: Any, frames: int) -> bytes:
     count = len(panels) + 2
     aspect = stack.sizes["y"] / stack.sizes["x"]
     figure, axes = pyplot().subplots(1, count, figsize=(4 * count, 4 * aspect + 0.9), layout="constrained")
+    grey = pyplot().get_cmap("gray").with_extremes(bad=_UNKNOWN)  # black would look like skin without light
     for axis, (title, picture) in zip(axes, panels, strict=False):
         top = np.nanpercentile(picture[lit] if lit.any() else picture, 99.5)
-        axis.imshow(
-            np.clip(np.nan_to_num(picture) / max(top, 1e-30), 0, 1) ** (1 / _GAMMA), cmap="gray", vmin=0, vmax=1
-        )
+        axis.imshow(np.clip(picture / max(top, 1e-30), 0, 1) ** (1 / _GAMMA), cmap=grey, vmin=0, vmax=1)
         axis.set_title(title)
     axes[-2].imshow(rgb * lit[..., None])
     axes[-2].set_title(f"normals ({normals.attrs['method']}, {normals.attrs['component']})")
@@ -69,7 +69,9 @@ def contact_sheet(session: str, stack: Any, normals: Any, frames: int) -> bytes:
     axes[-1].set_yticks([])
     axes[-1].legend(frameon=False)
     spectral = f"{nm:g} nm" if nm else "unfiltered"
-    figure.suptitle(f"{session}: {frames} frames, {spectral}")
+    unknown = any(np.isnan(picture).any() for _, picture in panels)
+    note = "; red: saturated, or not seen by both cameras" if unknown else ""
+    figure.suptitle(f"{session}: {frames} frames, {spectral}{note}")
     return png_of(figure)
 
 

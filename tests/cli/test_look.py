@@ -78,3 +78,11 @@ def test_a_wrong_request_is_one_sentence(
     lightstage: Lightstage, standing: Path, words: tuple[str, ...], part: str
 ) -> None:
     check_refusal(lightstage(*words, "--session", "ball", store=standing), part)
+
+
+def test_a_store_that_is_not_there_is_said_and_not_made(lightstage: Lightstage, tmp_path: Path) -> None:
+    for words in (("status",), ("sessions", "list")):
+        done = lightstage(*words, store=tmp_path / "typo")
+        assert done.code == 0
+        assert f"there is no store at {tmp_path / 'typo'} yet" in done.err
+    assert not (tmp_path / "typo").exists()
