@@ -133,8 +133,11 @@ def lay_out(request: Request, store: Store, stages: Stages, *, with_results: boo
     items = bound_items(session, store, given_items(request, store))
     nodes = list(request.nodes)
     if with_results and not nodes:
-        have = {name for name in graph.nodes if current(session.name, name, store) is not None}
-        nodes = [name for name, node in graph.nodes.items() if not node.asked or name in have]
+        nodes = [
+            name
+            for name, node in graph.nodes.items()
+            if not node.asked or current(session.name, name, store) is not None
+        ]
     return make_plan(graph, session, store, items, nodes)
 
 

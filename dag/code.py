@@ -10,7 +10,6 @@ import functools
 import os
 import re
 import sys
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -223,6 +222,8 @@ class _Memory:
         """Write down what was found; where that cannot be, the next process finds it again."""
         if not self.learned or self.path is None:
             return
+        import tempfile
+
         self.learned = False
         newest = list(self.known.items())[-_MOST_TEXTS:]
         modules = {key: [facts.digest, facts.imports] for key, facts in newest}

@@ -283,6 +283,7 @@ def _plan_node(
     units = _inherited(stage.units, [upper.units for upper in above])
     places = _inherited(stage.places, [upper.places for upper in above])
     contexts: dict[str, Mapping[str, Any]] = {}
+    digests: dict[str, str] = {}
     blocks = []
     upper_named = {upper.node.name: upper for upper in above}
     ranges = [range(grid.sizes[dim]) for dim in block_dims]
@@ -293,8 +294,11 @@ def _plan_node(
         digest = ""
         if stage.context is not None:
             context = stage.context(block_labels, facts, items, node.params)
-            digest = digest_value(plain_context(context))
-            contexts.setdefault(digest, context)
+            text = repr(context)  # of most blocks the same, and quicker than a digest of it
+            if text not in digests:
+                digests[text] = digest_value(plain_context(context))
+                contexts.setdefault(digests[text], context)
+            digest = digests[text]
         reads = _reads(node, above, grid, block_dims, index, group, arrangement)
         frames = frozenset(
             itertools.chain.from_iterable(
@@ -379,16 +383,13 @@ def _reads(
 
 
 def _piece(called: Name, upper: NodePlan, name: str, array: ArrayTemplate, selection: Mapping[str, int]) -> Piece:
-    ranges = [
-        [selection[dim]] if dim in selection else range(count)
-        for dim, count in zip(array.dims, array.grid(), strict=True)
-    ]
+    counts = dict(zip(array.dims, array.grid(), strict=True))
+    ranges = [[selection[dim]] if dim in selection else range(count) for dim, count in counts.items()]
     if any(array.chunk[array.dims.index(dim)] != 1 for dim in selection):
         raise StageError(
             f"{upper.node.name}.{name} cannot be read at one index of {', '.join(selection)}: not chunked so"
         )
     within = [dim for dim in array.dims if dim not in upper.block_dims]
-    counts = dict(zip(array.dims, array.grid(), strict=True))
     chunks = []
     for place in itertools.product(*ranges):
         at = dict(zip(array.dims, place, strict=True))

@@ -50,9 +50,12 @@ def canonical(value: Any) -> str:
 _ENCODER = json.JSONEncoder(sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
 
 
+_LEAVES = frozenset({str, int, bool, type(None)})
+"""Types of what is plain as it is: most of what there is."""
+
+
 def _plain(value: Any) -> Any:
-    kind = type(value)
-    if kind is str or kind is int or kind is bool or value is None:  # most of what there is
+    if type(value) in _LEAVES:
         return value
     if isinstance(value, float):
         return value + 0.0
@@ -60,9 +63,9 @@ def _plain(value: Any) -> Any:
         wrong = [key for key in value if not isinstance(key, str)]
         if wrong:
             raise TypeError(f"only text can be a key, found {wrong[0]!r}")
-        return {key: _plain(item) for key, item in value.items()}
+        return {key: item if type(item) in _LEAVES else _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if value is None or isinstance(value, bool | int | str):
+        return [item if type(item) in _LEAVES else _plain(item) for item in value]
+    if isinstance(value, int | str):
         return value
     raise TypeError(f"cannot digest a {type(value).__name__}")

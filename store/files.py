@@ -12,7 +12,6 @@ import errno
 import fcntl
 import itertools
 import os
-import secrets
 import shutil
 import stat
 import threading
@@ -87,7 +86,7 @@ class Scratch:
                 self._marker.check(self.root)
             while True:
                 self.make_folder(self.folder)
-                mine = self.folder / f"{_machine(self.folder)}~{self._pid}~{secrets.token_hex(4)}"
+                mine = self.folder / f"{_machine(self.folder)}~{self._pid}~{os.urandom(4).hex()}"
                 with contextlib.suppress(FileNotFoundError):
                     mine.mkdir()
                     lock = _hold(mine / "lock")
@@ -212,7 +211,7 @@ def _machine(folder: Path) -> str:
     return digest_value([boot.strip(), folder.stat().st_dev])[:12]
 
 
-_unknown_boot = secrets.token_hex(8)
+_unknown_boot = os.urandom(8).hex()
 
 
 def _hold(path: Path) -> int | None:

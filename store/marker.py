@@ -7,7 +7,7 @@ While `lightstage upgrade` is at work the format is "upgrading", so that no prog
 """
 
 import json
-import secrets
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
@@ -36,7 +36,7 @@ class Marker:
     @classmethod
     def new(cls) -> Self:
         """Of a store that is made now."""
-        return cls(FORMAT, secrets.token_hex(16))
+        return cls(FORMAT, os.urandom(16).hex())
 
     def as_bytes(self) -> bytes:
         """For the file."""

@@ -101,13 +101,13 @@ def set_current(name: ResultName, store: Store) -> bool:
 
 def current(session: str, node: str, store: Store) -> str | None:
     """The folder name of the result in use, if it is there."""
-    folder = store.results / session / node
+    folder = os.path.join(store.results, session, node)  # asked for each node of each session
     try:
-        with open(folder / "current", encoding="ascii", errors="replace") as file:
+        with open(os.path.join(folder, "current"), encoding="ascii", errors="replace") as file:
             name = file.read().strip()
     except (FileNotFoundError, NotADirectoryError):
         return None
-    return name if (folder / name / "zarr.json").is_file() else None
+    return name if os.path.isfile(os.path.join(folder, name, "zarr.json")) else None
 
 
 def current_path(session: str, node: str, store: Store) -> Path:
