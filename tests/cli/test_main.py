@@ -119,7 +119,7 @@ def test_what_the_machine_refuses_is_a_sentence_and_exit_code_1(
         done = lightstage("sessions", "list", "--json")
         assert (done.code, done.json["exit_code"]) == (1, 1)
         assert sentence in done.json["error"]
-        assert done.err == f"lightstage: {done.json['error']}\n"
+        assert done.err.endswith(f"lightstage: {done.json['error']}\n")
 
 
 def test_a_store_must_be_a_folder_of_its_own(lightstage: Lightstage, sphere: Path, tmp_path: Path) -> None:
