@@ -4,6 +4,7 @@ Imports nothing of ours outside itself.
 
     geodesic.py      where the lights are
     illuminations.py what illuminations are called, and which belong together
+    cameras.py       which camera is the reference
     gradients.py     what each light is driven with, per illumination
     sequence.py      which illumination comes when, and what a tracking frame supports
     pacing.py        how fast a sequence plays, and whether it flashes

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lightstage.formats.whole_file import write_whole
+from lightstage.hw.cameras import reference_index
 from lightstage.products.figures import pyplot
 
 if TYPE_CHECKING:
@@ -53,8 +54,7 @@ class Evidence:
     @property
     def reference(self) -> int:
         """Index of the reference camera's polarisation."""
-        names = list(self.facts["polarisation"])
-        return names.index("cross") if "cross" in names else 0
+        return reference_index(list(self.facts["polarisation"]))
 
     def array(self, name: str) -> Any:
         """An array of the result."""

@@ -19,6 +19,7 @@ from typing import Any
 from pydantic import Field
 
 from lightstage.dag.stage import Arrangement, Grid, Input, Items, Needs, Output, Params, Stage, StageError
+from lightstage.hw.cameras import reference_camera
 from lightstage.kernels.encodings import SIGNAL_STEP
 
 
@@ -37,7 +38,7 @@ def _context(
     labels: Mapping[str, Any], facts: Mapping[str, Any], items: Items, params: RegisterParams
 ) -> Mapping[str, Any]:
     cameras = [facts["cameras"][polarisation] for polarisation in facts["polarisation"]]
-    reference = facts["cameras"].get("cross", cameras[0])
+    reference = reference_camera(facts["cameras"])
     plain_mount = {"rotate": 0, "mirror": False}
     return {
         "cameras": cameras,
@@ -100,8 +101,7 @@ def _adjugate(m: Sequence[Sequence[float]]) -> list[list[float]]:
 
 def _arrange(grids: Sequence[Grid], facts: Mapping[str, Any], params: RegisterParams) -> Arrangement:
     (raw,) = grids
-    cameras = facts["cameras"]
-    reference = cameras.get("cross", next(iter(cameras.values())))
+    reference = reference_camera(facts["cameras"])
     turned = facts["mount"].get(reference, {}).get("rotate", 0) in (90, 270)
     y, x = raw.sizes["y"], raw.sizes["x"]
     sizes = dict(raw.sizes) | ({"y": x, "x": y} if turned else {})

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from lightstage.hw import illuminations
+from lightstage.hw.cameras import reference_camera
 from lightstage.store import document
 from lightstage.store.errors import RequestError, raise_all
 from lightstage.store.names import NAME_RULE, SESSION_NAME
@@ -243,8 +244,7 @@ class Capture:
     @property
     def reference_camera(self) -> str:
         """The camera whose grid everything is brought to: the cross camera, or the only one."""
-        cameras = self.description.cameras
-        return cameras.get("cross") or next(iter(cameras.values()))
+        return reference_camera({str(name): camera for name, camera in self.description.cameras.items()})
 
     def pictures(self) -> list[PictureFile]:
         """Every file that the description promises, in capture order.

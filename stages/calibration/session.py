@@ -4,19 +4,18 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from lightstage.dag.stage import Grid, Items, StageError
+from lightstage.hw import cameras
 from lightstage.hw.illuminations import is_light, light_number
 
 
 def reference(raw: Grid) -> int:
     """Index of the reference camera along `polarisation`: cross, or the only one."""
-    polarisations = list(raw.along("polarisation"))
-    return polarisations.index("cross") if "cross" in polarisations else 0
+    return cameras.reference_index(list(raw.along("polarisation")))
 
 
 def reference_camera(facts: Mapping[str, Any]) -> str:
     """The name of the reference camera."""
-    cameras: Mapping[str, str] = facts["cameras"]
-    return cameras.get("cross") or next(iter(cameras.values()))
+    return cameras.reference_camera(facts["cameras"])
 
 
 def mount_of(facts: Mapping[str, Any], camera: str) -> Mapping[str, Any]:
